@@ -1,25 +1,20 @@
 //! `wcal track`: from wavelengths to contact points: of a table, of a recording, or live.
 
 mod feed;
-mod groove;
 mod known_motion;
 mod live;
 mod located;
 mod moments_alone;
 mod motion;
-mod motion_log;
 mod motion_table;
 mod object;
 mod output;
 mod recorded_motion;
-mod sliding;
-mod stream_motion;
 mod surface;
 mod table;
-mod trust;
 mod whiskers;
 
-pub use trust::filters_for;
+pub use wcal_contact::trust::filters_for;
 
 use crate::import::SweepFolder;
 use crate::train::burn_device;
@@ -29,8 +24,11 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use trust::{CheckedCalibration, WhiskerModel, say_contact_uncertainty};
 use wcal_acquisition::rig::Rig;
+use wcal_calibration::CalibrationModel;
+use wcal_contact::session_groove::contact_sentence;
+use wcal_contact::trust::{CheckedCalibration, WhiskerModel};
+use wcal_core::CalibrationFile;
 use wcal_core::Purpose;
 use wcal_track::Tracker;
 use wcal_track::classes::of_class;
@@ -201,6 +199,10 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     let mut judged = Vec::new();
     for name in &names {
         let mut one = CheckedCalibration::read(name, &calibrations[name], read_card(&folders[name])?)?;
+        if one.file().whisker.is_none() {
+            let place = one.place().display();
+            eprintln!("warning: {place}: it does not say of which whisker; the model is taken to fit");
+        }
         match (&source, stream_s) {
             (Source::Table(path), _) => one.check_step(table::median_step_s(path)?),
             (_, step_s) => one.check_step(step_s),
@@ -254,7 +256,7 @@ fn along_stream(args: &TrackArgs) -> Result<ExitCode> {
     let names: Vec<String> = rig.interrogator.whiskers().iter().map(|w| (*w).to_owned()).collect();
     let calibrations = by_whisker("--calibration", &args.calibration, &names)?;
     let all = names.iter().map(|n| WhiskerModel::without_network(n, &calibrations[n]));
-    let loaded = all.collect::<Result<Vec<_>>>()?;
+    let loaded = all.collect::<Result<Vec<_>, wcal_contact::ContactError>>()?;
     for (one, doubt) in loaded.iter().flat_map(|l| l.doubts.messages().into_iter().map(move |d| (l, d))) {
         say_doubt(args, &one.name, &doubt);
     }
@@ -280,6 +282,14 @@ fn points_table(folder: &Path) -> Result<PathBuf> {
     table
         .map(|i| folder.join(&i.path))
         .ok_or_else(|| anyhow!("{}: expected a points table, found none", folder.display()))
+}
+
+/// Says at the start what a calibration makes of a contact, where it knows; `whisker` is its name among several, or empty.
+fn say_contact_uncertainty(whisker: &str, file: &CalibrationFile<CalibrationModel>) {
+    let whose = if whisker.is_empty() { String::new() } else { format!("whisker {whisker}: ") };
+    if let Some(contact) = &file.contact_uncertainty {
+        eprintln!("{whose}{}", contact_sentence(contact));
+    }
 }
 
 /// What the arguments ask for, and the rig of a stream with its place.

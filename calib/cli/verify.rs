@@ -4,7 +4,6 @@ mod text;
 
 pub use text::print_text;
 
-use crate::known_motion;
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::report::put_page;
 use crate::report_input::{of_document, of_scalar, of_whisker};
@@ -18,6 +17,7 @@ use text::{predictions_csv, scalar_csv};
 use wcal_calibration::{
     CalibrationModel, GivenCalibration, SessionSystem, WhiskerCalibration, provenance, seal,
 };
+use wcal_contact::session_groove;
 use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, VerifyDocument};
 use wcal_core::{Provenance, SessionData, Unsealing, VerificationStatus, WhiskerData};
 use wcal_report::{Page, ReportInput};
@@ -225,7 +225,7 @@ pub fn verify_session(
             _ => None,
         };
         let status = VerificationStatus::Verified;
-        let contact = report.verify.groove_tracking.as_ref().and_then(known_motion::calibration_contact);
+        let contact = report.verify.groove_tracking.as_ref().and_then(session_groove::calibration_contact);
         let expires = valid_until(*valid_days)?;
         let file = seal(&session.id, status, expires, model, provenance, whisker, contact)?;
         out.put("calibration.json", serde_json::to_vec_pretty(&file)?);
@@ -285,9 +285,9 @@ fn groove_tracking(done: &WhiskerVerification) -> anyhow::Result<Option<GrooveTr
     let Some(motion) = done.model.groove_motion(whole) else { return Ok(None) };
     let [sealed, _] = whole.held_out();
     let (any, split) = if sealed.contains(&true) { (true, "holdout") } else { (false, "fit") };
-    let tracked = known_motion::track(whole, motion, |i| sealed[i] == any)?;
+    let tracked = session_groove::track(whole, motion, |i| sealed[i] == any)?;
     let compared = tracked.compared(whole, |i| whole.row(i).groove_mm)?;
-    Ok(known_motion::groove_tracking(&compared, split))
+    Ok(session_groove::groove_tracking(&compared, split))
 }
 
 fn of_scalar_session(

@@ -1,19 +1,22 @@
 //! Tracks of a session whose groove moves in a known way: no network.
 
 use super::output::{FORMAT, TrackFiles, TrackRow};
-use super::trust::{TrustIssues, calibration_issues, say_contact_uncertainty};
+use super::say_contact_uncertainty;
 use super::{Outcome, TrackArgs, exit_code};
-use crate::known_motion::{groove_sentence, groove_tracking, misstated, track as locate, without_groove};
 use anyhow::{Result, anyhow, bail};
 use nalgebra::Vector3;
 use serde_json::json;
 use std::path::Path;
 use std::process::ExitCode;
 use wcal_calibration::{TrustIssue, of_whisker};
+use wcal_contact::motion_row_tracker::answer;
+use wcal_contact::session_groove::{
+    groove_sentence, groove_tracking, misstated, track as locate, without_groove,
+};
+use wcal_contact::trust::{TrustIssues, calibration_issues};
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_core::{SessionData, WhiskerRow};
 use wcal_trace::whisker::WhiskerSystem;
-use wcal_track::motion_row_tracker::answer;
 
 /// Tracks the readings of a session's points table.
 ///

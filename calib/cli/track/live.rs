@@ -1,10 +1,8 @@
 //! Tracks of a stream: live from the interrogator, or replayed from recordings.
 
 use super::feed::{Intake, Item};
-use super::groove::known_places;
 use super::output::{FORMAT, TrackFiles};
 use super::recorded_motion::{recorded_motion, session_folder};
-use super::trust::WhiskerModel;
 use super::whiskers::{Whiskers, lost_text};
 use super::{Outcome, TrackArgs, exit_code, refuse_surface};
 use crate::interrupt;
@@ -26,6 +24,8 @@ use wcal_acquisition::recorder::{LiveView, Recorder};
 use wcal_acquisition::replay::{Message, read};
 use wcal_acquisition::rig::Rig;
 use wcal_acquisition::tracks::TrackChannels;
+use wcal_contact::groove_table::known_places;
+use wcal_contact::trust::WhiskerModel;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceError, DeviceErrorKind, FbgReading};

@@ -2,22 +2,22 @@
 
 use super::TrackArgs;
 use super::motion;
-use super::stream_motion::KnownAtRow;
-use super::trust::WhiskerModel;
-use crate::known_motion::{innovations_summary, moment_field};
 use anyhow::{Context, Result};
 use nalgebra::{Matrix2, Vector3};
 use serde_json::{Value, json};
 use std::sync::Arc;
+use wcal_contact::contact_history::ContactHistory;
+use wcal_contact::known_groove::{KnownGroove, KnownPlace};
+use wcal_contact::known_motion::contact_stream::FinishedEpisode;
+use wcal_contact::known_motion::{Disagreement, Lost};
+use wcal_contact::motion_row_tracker::{MotionAccuracy, MotionInput, MotionRowTracker, RowMotion};
+use wcal_contact::row_tracker::{RowInput, RowTracker, TrackedRow};
+use wcal_contact::session_groove::{innovations_summary, moment_field};
+use wcal_contact::stream_motion::KnownAtRow;
+use wcal_contact::trust::WhiskerModel;
 use wcal_core::WhiskerSpec;
 use wcal_core::observation::MomentAxes;
 use wcal_core::stream::MomentSpread;
-use wcal_track::contact_history::ContactHistory;
-use wcal_track::known_groove::{KnownGroove, KnownPlace};
-use wcal_track::known_motion::contact_stream::FinishedEpisode;
-use wcal_track::known_motion::{Disagreement, Lost};
-use wcal_track::motion_row_tracker::{MotionAccuracy, MotionInput, MotionRowTracker, RowMotion};
-use wcal_track::row_tracker::{RowInput, RowTracker, TrackedRow};
 use wcal_track::stream::Row;
 
 /// The moments' table is filled so far from the wire while the stream begins, mm.

@@ -1,8 +1,6 @@
 //! Tracks of a table of whose motion nothing is known: an arc of the wire for every loaded reading.
 
-use super::groove::known_places;
 use super::output::{FORMAT, TrackFiles, TrackRow};
-use super::trust::TrustIssues;
 use super::{Outcome, TrackArgs, exit_code};
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result};
@@ -10,10 +8,12 @@ use serde_json::json;
 use std::path::Path;
 use std::process::ExitCode;
 use wcal_calibration::{CalibrationModel, SensedRow};
+use wcal_contact::arc::{arclength_regions, moments_alone};
+use wcal_contact::groove_table::known_places;
+use wcal_contact::known_groove::KnownGroove;
+use wcal_contact::trust::TrustIssues;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_core::{CalibrationFile, WhiskerSpec};
-use wcal_track::arc::{arclength_regions, moments_alone};
-use wcal_track::known_groove::KnownGroove;
 use wcal_track::network::Prediction;
 use wcal_track::{InverseGrid, StaticInverse};
 

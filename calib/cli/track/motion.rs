@@ -1,7 +1,7 @@
 //! What is said of rows whose motion the network was never trained on, or that is not known, and of rows with several contacts.
 
 use serde_json::{Value, json};
-use wcal_track::motion_judge::MotionJudge;
+use wcal_contact::motion_judge::MotionJudge;
 
 /// For track.json: rows by what their motion is.
 pub fn summary(judge: &MotionJudge) -> Value {

@@ -1,14 +1,10 @@
 //! Tracks of a table without a network: along a known relative motion, or by the moments alone.
 
-use super::groove::known_places;
-use super::motion_log::{LoggedMotion, has_motion, is_motion_column, read};
 use super::object::{object_score, say_object_score};
 use super::output::{FORMAT, TrackFiles, TrackRow};
-use super::sliding::sliding_contacts;
-use super::trust::{TrustIssues, calibration_issues, say_contact_uncertainty};
+use super::say_contact_uncertainty;
 use super::{Outcome, TrackArgs, exit_code, moments_alone};
 use crate::import::SweepFolder;
-use crate::known_motion::{disagreement_sentence, found_summary, moment_field};
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
@@ -18,15 +14,20 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::ExitCode;
 use wcal_calibration::{SensedRow, SensedTable, of_whisker};
+use wcal_contact::groove_table::known_places;
+use wcal_contact::known_groove::KnownGroove;
+use wcal_contact::known_motion::{
+    Episode, Located, Lost, Motion, MotionRow, Place, Posterior, Region, Settings, episodes, locate,
+};
+use wcal_contact::motion_row_tracker::answer;
+use wcal_contact::motion_table::{LoggedMotion, has_motion, is_motion_column, read};
+use wcal_contact::session_groove::{disagreement_sentence, found_summary, moment_field};
+use wcal_contact::sliding_episodes::sliding_contacts;
+use wcal_contact::trust::{TrustIssues, calibration_issues};
 use wcal_core::observation::MomentAxes;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_session::{SessionWarning, WarningKind};
 use wcal_track::Tare;
-use wcal_track::known_groove::KnownGroove;
-use wcal_track::known_motion::{
-    Episode, Located, Lost, Motion, MotionRow, Place, Posterior, Region, Settings, episodes, locate,
-};
-use wcal_track::motion_row_tracker::answer;
 use wcal_track::stream::BasePose;
 
 /// Share of the noise from pose to pose by which the zero may be off in another record. An assumption, as for the filters.

@@ -8,8 +8,8 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use wcal_acquisition::tracks::{ContactEventMessage, ContactPoint};
+use wcal_contact::known_motion::Region;
 use wcal_core::stream::{Flags, StreamMoments};
-use wcal_track::known_motion::Region;
 use wcal_track::network::Prediction;
 use wcal_track::stream::{BasePose, ContactEvent};
 

@@ -4,7 +4,7 @@ use super::output::companion;
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 use std::path::Path;
-use wcal_track::contact_history::ContactHistory;
+use wcal_contact::contact_history::ContactHistory;
 use wcal_track::surface::{CloudPoint, ImplicitSurface, SurfaceSettings, cloud_ply};
 
 /// Writes the cloud and the surface of all whiskers beside the table, and what they are for track.json.

@@ -1,12 +1,9 @@
 //! Tracks of a table of readings.
 
-use super::groove::known_places;
 use super::motion;
-use super::motion_log::is_motion_column;
 use super::object::{object_score, say_object_score};
 use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::surface::write_surface;
-use super::trust::WhiskerModel;
 use super::{Outcome, TrackArgs, exit_code, refuse_surface};
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, bail};
@@ -16,11 +13,14 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::process::ExitCode;
 use wcal_calibration::{MomentRow, MomentTable};
+use wcal_contact::groove_table::known_places;
+use wcal_contact::known_groove::{KnownGroove, velocities};
+use wcal_contact::motion_table::is_motion_column;
+use wcal_contact::row_tracker::{RowInput, RowTracker};
+use wcal_contact::trust::WhiskerModel;
 use wcal_core::FbgSpec;
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_session::{SessionWarning, TextTable, TextTableLayout, WarningKind, read_text_table};
-use wcal_track::known_groove::{KnownGroove, velocities};
-use wcal_track::row_tracker::{RowInput, RowTracker};
 use wcal_track::stream::BasePose;
 
 /// A step this many times the median is a gap.

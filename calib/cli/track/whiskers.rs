@@ -3,9 +3,7 @@
 use super::TrackArgs;
 use super::located::RowLocator;
 use super::output::{TrackFiles, TrackRow, event_message};
-use super::stream_motion::{StreamMotion, kernel};
 use super::surface::write_surface;
-use super::trust::WhiskerModel;
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -17,9 +15,11 @@ use wcal_acquisition::message::{StagePosition, SweepEvent};
 use wcal_acquisition::rig::Rig;
 use wcal_acquisition::tracks::TrackChannels;
 use wcal_acquisition::whisker_reader::WhiskerReader;
+use wcal_contact::known_groove::{KnownGroove, KnownPlace};
+use wcal_contact::known_motion::MotionLog;
+use wcal_contact::stream_motion::{StreamMotion, kernel};
+use wcal_contact::trust::WhiskerModel;
 use wcal_core::device::FbgReading;
-use wcal_track::known_groove::{KnownGroove, KnownPlace};
-use wcal_track::known_motion::MotionLog;
 use wcal_track::stream::{Row, SignalChain, SignalChainSettings, first_mode_hz};
 
 /// One whisker of a stream.

@@ -55,7 +55,7 @@ pub use motion_log::{LogRow, Lost, Motion, MotionLog};
 pub use posterior::{Posterior, Region};
 pub use recursive::{PoseNoise, RecursivePosterior, RecursiveSettings};
 
-use crate::TrackError;
+use crate::ContactError;
 use contact_path::{ContactPath, loaded};
 use likelihood::Likelihood;
 use nalgebra::{Matrix2, Matrix3, Rotation3, Vector3};
@@ -149,7 +149,7 @@ pub struct Located {
 ///
 /// # Errors
 /// For rows that cannot be used: no push direction, times that do not go forward, numbers that are not finite.
-pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Result<Located, TrackError> {
+pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Result<Located, ContactError> {
     check_rows(episode)?;
     let all = episode;
     let Some(whole) = ContactPath::new(field, episode) else {
@@ -235,7 +235,7 @@ fn standing_out(rows: &[MotionRow]) -> Vec<usize> {
 fn without_one(
     path: &ContactPath<'_>,
     settings: &Settings,
-) -> Result<Option<(Likelihood, posterior::Mode)>, TrackError> {
+) -> Result<Option<(Likelihood, posterior::Mode)>, ContactError> {
     if path.rows.len() > MAX_SEARCHED || settings.gross_share <= 0.0 {
         return Ok(None);
     }
@@ -277,7 +277,7 @@ fn thinned(episode: &Episode, max_rows: usize) -> Vec<usize> {
     (first % stride..n).step_by(stride).collect()
 }
 
-fn check_rows(episode: &Episode) -> Result<(), TrackError> {
+fn check_rows(episode: &Episode) -> Result<(), ContactError> {
     let shared = episode.rows.first().map_or(0, |r| r.shared_nmm.len());
     let mut last_s = f64::NEG_INFINITY;
     for (k, row) in episode.rows.iter().enumerate() {
@@ -288,18 +288,18 @@ fn check_rows(episode: &Episode) -> Result<(), TrackError> {
 }
 
 /// A reading after one at `last_s`, of a record with `shared` common unknowns.
-fn check_row(row: &MotionRow, last_s: f64, shared: usize, what: &str) -> Result<(), TrackError> {
+fn check_row(row: &MotionRow, last_s: f64, shared: usize, what: &str) -> Result<(), ContactError> {
     let numbers = row.moment_nmm.iter().chain(row.moved_mm.iter()).chain(row.velocity_mm_s.iter());
     if !numbers.copied().all(f64::is_finite) || !row.noise_nmm2.iter().all(|v| v.is_finite()) {
-        return Err(TrackError::value(what, "finite moments, noise and motion", "one that is not"));
+        return Err(ContactError::value(what, "finite moments, noise and motion", "one that is not"));
     }
     if !(row.t_s >= last_s) {
-        return Err(TrackError::value(what, format!("a time from {last_s} s on"), row.t_s.to_string()));
+        return Err(ContactError::value(what, format!("a time from {last_s} s on"), row.t_s.to_string()));
     }
     for count in [row.shared_nmm.len(), row.shared_way_mm.len().max(shared)] {
         if count != shared {
             let expected = format!("{shared} common unknowns as in the first");
-            return Err(TrackError::value(what, expected, count.to_string()));
+            return Err(ContactError::value(what, expected, count.to_string()));
         }
     }
     Ok(())

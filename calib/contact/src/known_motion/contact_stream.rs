@@ -17,7 +17,7 @@ use super::posterior::Region;
 use super::{
     Episode, Innovations, MomentField, MotionRow, Place, RecursivePosterior, RecursiveSettings, check_row,
 };
-use crate::TrackError;
+use crate::ContactError;
 use nalgebra::Vector3;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -126,7 +126,7 @@ impl ContactStream {
         row: &MotionRow,
         piece: u32,
         push: Option<Vector3<f64>>,
-    ) -> Result<StreamedContact, TrackError> {
+    ) -> Result<StreamedContact, ContactError> {
         let shared = *self.shared.get_or_insert(row.shared_nmm.len());
         check_row(row, self.last_s, shared, "reading of a stream")?;
         self.last_s = row.t_s;

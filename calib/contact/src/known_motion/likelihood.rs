@@ -18,7 +18,7 @@
 
 use super::Settings;
 use super::contact_path::{ContactPath, State};
-use crate::TrackError;
+use crate::ContactError;
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2, Vector3};
 
 /// Standard deviation of noisy outliers in units of the noise.
@@ -57,7 +57,7 @@ impl Likelihood {
         path: &ContactPath<'_>,
         settings: &Settings,
         at: Option<(&State, &Self)>,
-    ) -> Result<Self, TrackError> {
+    ) -> Result<Self, ContactError> {
         let plain = vec![Weight::REGULAR; path.rows.len()];
         let weights = at.map_or(plain, |(state, _)| weights(path, settings, state));
         Self::weighted(path, settings, at.map(|(state, _)| state), &weights)
@@ -71,7 +71,7 @@ impl Likelihood {
         path: &ContactPath<'_>,
         settings: &Settings,
         reading: usize,
-    ) -> Result<Self, TrackError> {
+    ) -> Result<Self, ContactError> {
         let mut weights = vec![Weight::REGULAR; path.rows.len()];
         weights[reading] = Weight::OUTLIER;
         Self::weighted(path, settings, None, &weights)
@@ -82,7 +82,7 @@ impl Likelihood {
         settings: &Settings,
         at: Option<&State>,
         weights: &[Weight],
-    ) -> Result<Self, TrackError> {
+    ) -> Result<Self, ContactError> {
         let rows = path.rows;
         let n = rows.len();
         // The interpolation error belongs to the prediction, so that an outlier's weight does not scale it.
@@ -117,7 +117,8 @@ impl Likelihood {
                 }
             }
         }
-        let fails = || TrackError::value("covariance of the moments", "positive definite", "one that is not");
+        let fails =
+            || ContactError::value("covariance of the moments", "positive definite", "one that is not");
         // Whitening by each reading's own block: L_k^-1 from B_k = L_k L_k'.
         let mut own = Vec::with_capacity(n);
         let mut ln_determinant = 0.0;

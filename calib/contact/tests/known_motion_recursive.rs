@@ -7,14 +7,14 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use std::sync::Arc;
-use wcal_core::observation::{MomentAxes, WhiskerSpec};
-use wcal_rod::Rod;
-use wcal_track::known_motion::contact_path::State;
-use wcal_track::known_motion::contact_stream::FinishedEpisode;
-use wcal_track::known_motion::{
+use wcal_contact::known_motion::contact_path::State;
+use wcal_contact::known_motion::contact_stream::FinishedEpisode;
+use wcal_contact::known_motion::{
     ContactStream, Episode, Friction, MomentField, MotionRow, PoseNoise, RecursivePosterior,
     RecursiveSettings, Settings, locate,
 };
+use wcal_core::observation::{MomentAxes, WhiskerSpec};
+use wcal_rod::Rod;
 
 const NOISE_NMM: f64 = 4e-3;
 const CLOCK_SD_S: f64 = 0.01;
@@ -168,7 +168,7 @@ fn against_batch(field: &MomentField, press: &Press) -> [f64; 3] {
     let batch = locate(field, &episode, &settings.common).unwrap();
     let there = batch.places.last().unwrap();
     let off = place.place_mm.unwrap() - there.place_mm.unwrap();
-    let sd = |p: &wcal_track::known_motion::Posterior| {
+    let sd = |p: &wcal_contact::known_motion::Posterior| {
         let mean: f64 = p.nodes.iter().map(|n| n.mass * n.state.s_mm).sum();
         p.nodes.iter().map(|n| n.mass * (n.state.s_mm - mean).powi(2)).sum::<f64>().sqrt()
     };

@@ -6,15 +6,15 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use std::collections::BTreeMap;
+use wcal_contact::known_motion::contact_path::ContactPath;
+use wcal_contact::known_motion::{
+    Disagreement, Episode, Friction, Located, MomentField, MotionRow, Settings, bound, check, locate,
+};
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
 use wcal_plant::case::{Case, Make, Request, Want};
 use wcal_plant::session::draw_under;
 use wcal_plant::{Design, Noise};
 use wcal_rod::{Line, Outcome, Rod};
-use wcal_track::known_motion::contact_path::ContactPath;
-use wcal_track::known_motion::{
-    Disagreement, Episode, Friction, Located, MomentField, MotionRow, Settings, bound, check, locate,
-};
 
 fn drawn(seed: u64, design: Design) -> Case {
     let request = Request { seed, design, want: Want::Null, target_sigma: 0.0, rivals: false };

@@ -1,11 +1,16 @@
 //! Contact places of a session from its moments and the known way of the groove, and how far they are from the groove.
 
-// By its path, since examples/groove_noise.rs takes this file in from elsewhere.
 #[cfg(test)]
-#[path = "known_motion/tests.rs"]
 mod tests;
 
-use anyhow::{Result, bail};
+use crate::ContactError;
+use crate::known_groove::at_most;
+use crate::known_motion::contact_path::ContactPath;
+use crate::known_motion::posterior::REGION;
+use crate::known_motion::{
+    CorrelatedShare, Disagreement, Episode, Friction, Innovations, Located, MomentField, MotionRow, Place,
+    Posterior, Region, Settings, bound_mm, locate, share_correlated,
+};
 use nalgebra::{Rotation3, Vector3};
 use rayon::prelude::*;
 use serde_json::{Value, json};
@@ -15,31 +20,23 @@ use wcal_core::verify_document::{CalibrationContact, ContactUncertainty, GrooveT
 use wcal_core::{Role, WhiskerData, WhiskerRow};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, MovedReading};
-use wcal_track::known_groove::at_most;
-use wcal_track::known_motion::contact_path::ContactPath;
-use wcal_track::known_motion::posterior::REGION;
-use wcal_track::known_motion::{
-    CorrelatedShare, Disagreement, Episode, Friction, Innovations, Located, MomentField, MotionRow, Place,
-    Posterior, Region, Settings, bound_mm, locate, share_correlated,
-};
 
 /// The rows of a session without the groove's place, so that no answer can come from it; their order stays.
 ///
 /// # Errors
 /// Where a loaded row has no stage position, or stands on a trajectory that the session does not describe.
-pub fn without_groove(data: &WhiskerData) -> Result<WhiskerData> {
+pub fn without_groove(data: &WhiskerData) -> Result<WhiskerData, ContactError> {
     let mut blind = data.clone();
     for row in &mut blind.rows {
         let place = |row: &WhiskerRow| format!("{}: line {}", row.source, row.line);
         if row.role != Role::Rest {
             if row.stage_mm.is_none() {
-                bail!("{}: stage_mm: expected a position (the way of the groove), found none", place(row));
+                let what = format!("{}: stage_mm", place(row));
+                return Err(ContactError::value(what, "a position (the way of the groove)", "none"));
             }
             if row.trajectory.and_then(|id| data.trajectory(id)).is_none() {
-                bail!(
-                    "{}: trajectory: expected one with a direction in session.toml, found none",
-                    place(row)
-                );
+                let what = format!("{}: trajectory", place(row));
+                return Err(ContactError::value(what, "one with a direction in session.toml", "none"));
             }
         }
         row.groove_mm = None;
@@ -134,7 +131,7 @@ pub fn track(
     system: &WhiskerSystem,
     motion: GrooveMotion,
     chosen: impl Fn(usize) -> bool,
-) -> Result<TrackedSession> {
+) -> Result<TrackedSession, ContactError> {
     let GrooveMotion { wire, changed, readings, correlated } = motion;
     let correlated = correlated
         .map(|[variance_share, time_constant_s]| CorrelatedShare { variance_share, time_constant_s });
@@ -144,7 +141,7 @@ pub fn track(
     for reading in readings.into_iter().filter(|r| chosen(r.reading)) {
         by_line.entry(reading.line).or_default().push(reading);
     }
-    let located = |(line, readings): (usize, Vec<MovedReading>)| -> Result<TrackedTrajectory> {
+    let located = |(line, readings): (usize, Vec<MovedReading>)| -> Result<TrackedTrajectory, ContactError> {
         let trajectory = &system.data.trajectories[line];
         let direction = trajectory.direction;
         let mut rows: Vec<MotionRow> = readings
@@ -170,7 +167,7 @@ pub fn track(
         let found = locate(&field, &episode, &Settings::default())?;
         Ok(TrackedTrajectory { id: trajectory.id, readings, found, episode })
     };
-    let trajectories = by_line.into_par_iter().map(located).collect::<Result<Vec<_>>>()?;
+    let trajectories = by_line.into_par_iter().map(located).collect::<Result<Vec<_>, ContactError>>()?;
     Ok(TrackedSession { field, wire, trajectories })
 }
 
@@ -192,7 +189,7 @@ impl TrackedSession {
         &self,
         system: &WhiskerSystem,
         groove: impl Fn(usize) -> Option<Vector3<f64>>,
-    ) -> Result<Vec<Compared>> {
+    ) -> Result<Vec<Compared>, ContactError> {
         let settings = Settings::default();
         let mut all = Vec::new();
         for t in &self.trajectories {

@@ -1,10 +1,10 @@
 //! Contacts that slide over an object: tracked by the filter where no fixed point of the object explains the moments.
 
-use anyhow::Result;
+use crate::ContactError;
+use crate::known_motion::{Disagreement, Located, MotionRow};
+use crate::sliding::{SlidingContact, locate_sliding};
 use wcal_calibration::SensedRow;
 use wcal_core::WhiskerSpec;
-use wcal_track::known_motion::{Disagreement, Located, MotionRow};
-use wcal_track::sliding::{SlidingContact, locate_sliding};
 use wcal_track::{InverseGrid, StaticInverse};
 
 /// By episode the contact as one that slides, where no fixed point explains the moments; its motion may not support it.
@@ -16,7 +16,7 @@ pub fn sliding_contacts(
     rows: &[SensedRow],
     known: &[MotionRow],
     episodes: &[([usize; 2], &Located)],
-) -> Result<Vec<Option<SlidingContact>>> {
+) -> Result<Vec<Option<SlidingContact>>, ContactError> {
     let unexplained = |found: &Located| found.disagreement == Some(Disagreement::Unexplained);
     if !episodes.iter().any(|(_, found)| unexplained(found)) {
         return Ok(vec![None; episodes.len()]);

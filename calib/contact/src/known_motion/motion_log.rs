@@ -9,7 +9,7 @@
 //!
 //! Source of the rotation: K. Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985, 245.
 
-use crate::TrackError;
+use crate::ContactError;
 use nalgebra::{Rotation3, Vector3};
 
 /// Longest interval between rows over which the motion is interpolated: this many times the log's median step, at least this many s.
@@ -99,14 +99,14 @@ impl MotionLog {
     ///
     /// # Errors
     /// Fewer than two rows, or times that do not increase, by line.
-    pub fn new(rows: Vec<LogRow>) -> Result<Self, TrackError> {
+    pub fn new(rows: Vec<LogRow>) -> Result<Self, ContactError> {
         if rows.len() < 2 {
-            return Err(TrackError::value("motion", "at least two rows", rows.len().to_string()));
+            return Err(ContactError::value("motion", "at least two rows", rows.len().to_string()));
         }
         if let Some(w) = rows.windows(2).find(|w| !(w[1].t_s > w[0].t_s)) {
             let what = format!("motion, line {}, t_s", w[1].line);
             let expected = format!("a later time than {} s", w[0].t_s);
-            return Err(TrackError::value(what, expected, w[1].t_s.to_string()));
+            return Err(ContactError::value(what, expected, w[1].t_s.to_string()));
         }
         let speeds = |w: &[LogRow]| step_mm(&w[0], &w[1]) / (w[1].t_s - w[0].t_s);
         let mut moving: Vec<f64> =
@@ -140,17 +140,17 @@ impl MotionLog {
     ///
     /// # Errors
     /// Where they have nothing in common, or spans that only another unit of time explains.
-    pub fn check_clock(&self, readings_s: [f64; 2]) -> Result<(), TrackError> {
+    pub fn check_clock(&self, readings_s: [f64; 2]) -> Result<(), ContactError> {
         let ([a, b], [first, last]) = (self.span_s(), readings_s);
         let ratio = (b - a) / (last - first).max(f64::MIN_POSITIVE);
         let found = format!("{a} to {b} s");
         if last > first && !(1.0 / SPANS..=SPANS).contains(&ratio) {
             let expected = format!("seconds by the readings' clock ({first} to {last} s)");
-            return Err(TrackError::value("clock of the motion", expected, found));
+            return Err(ContactError::value("clock of the motion", expected, found));
         }
         if b < first || a > last {
             let expected = format!("times that overlap those of the readings ({first} to {last} s)");
-            return Err(TrackError::value("clock of the motion", expected, found));
+            return Err(ContactError::value("clock of the motion", expected, found));
         }
         Ok(())
     }

@@ -8,13 +8,13 @@
 //!
 //! A row's moments went through a low-pass; the motion is averaged by the same weights.
 
-use anyhow::{Result, bail};
+use crate::ContactError;
+use crate::known_motion::{Lost, MotionLog};
+use crate::motion_row_tracker::RowMotion;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use std::collections::BTreeMap;
 use wcal_acquisition::message::SweepEvent;
 use wcal_acquisition::rig::Rig;
-use wcal_track::known_motion::{Lost, MotionLog};
-use wcal_track::motion_row_tracker::RowMotion;
 use wcal_track::stream::{BaseMotion, BasePose};
 
 /// Times at which a motion is averaged over the filter.
@@ -48,7 +48,12 @@ impl StreamMotion {
     ///
     /// # Errors
     /// Where the rig's base cannot be used.
-    pub fn new(place: &str, rig: &Rig, base_mm_s: Option<f64>, log: Option<MotionLog>) -> Result<Self> {
+    pub fn new(
+        place: &str,
+        rig: &Rig,
+        base_mm_s: Option<f64>,
+        log: Option<MotionLog>,
+    ) -> Result<Self, ContactError> {
         Ok(Self {
             base: base_motion(place, rig)?,
             base_mm_s,
@@ -145,19 +150,21 @@ pub fn kernel<const N: usize>(filter: &wcal_track::stream::LowPass<N>) -> Vec<(f
 }
 
 /// Motion of the base where the rig says where it is.
-fn base_motion(place: &str, rig: &Rig) -> Result<Option<BaseMotion>> {
+fn base_motion(place: &str, rig: &Rig) -> Result<Option<BaseMotion>, ContactError> {
     let Some(base) = &rig.base else { return Ok(None) };
     let m = base.world_from_base;
     let turn = Matrix3::from_fn(|i, j| m[i][j]);
     let sound = (turn * turn.transpose() - Matrix3::identity()).norm() < 1e-3 && turn.determinant() > 0.0;
     if !sound || m[3] != [0.0, 0.0, 0.0, 1.0] {
-        bail!("{place}: base.world_from_base: expected a rotation and a shift in mm, found {m:?}");
+        let what = format!("{place}: base.world_from_base");
+        return Err(ContactError::value(what, "a rotation and a shift in mm", format!("{m:?}")));
     }
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix(&turn));
     let at_zero = Isometry3::from_parts(Translation3::new(m[0][3], m[1][3], m[2][3]), turn);
     let flat = |a: [f64; 3]| a.iter().any(|x| !x.is_finite()) || Vector3::from(a).norm() <= 1e-6;
     if base.carried_along.is_some_and(flat) {
-        bail!("{place}: base.carried_along: expected a direction, found {:?}", base.carried_along);
+        let what = format!("{place}: base.carried_along");
+        return Err(ContactError::value(what, "a direction", format!("{:?}", base.carried_along)));
     }
     Ok(Some(BaseMotion::new(at_zero, base.carried_along.map(Vector3::from))))
 }

@@ -7,10 +7,10 @@
 //!
 //! Its regions are those of highest density over the arc length: one piece for each peak.
 
-use crate::inverse::{InverseSolution, Node, StaticInverse};
 use crate::known_motion::Region;
-use crate::network::Prediction;
 use nalgebra::{Matrix3, Vector3};
+use wcal_track::inverse::{InverseSolution, Node, StaticInverse};
+use wcal_track::network::Prediction;
 
 /// Probability that a contact of which nothing is known is one of the tip. An assumption.
 const TIP: f64 = 0.15;
@@ -140,8 +140,8 @@ pub fn arclength_regions(nodes: &[Node], weights: &[f32]) -> Vec<Region> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::InverseGrid;
     use wcal_core::observation::WhiskerSpec;
+    use wcal_track::InverseGrid;
 
     fn nodes() -> Vec<Node> {
         let wire = (0..=20).map(|k| Node { arclength_mm: f64::from(k), tilt: 0.0 });

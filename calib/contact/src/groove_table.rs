@@ -1,10 +1,10 @@
 //! The groove of a session's own calibration from its table (`groove_x_mm`, `groove_y_mm`, `groove_z_mm`).
 
-use anyhow::Result;
+use crate::ContactError;
+use crate::known_groove::KnownPlace;
 use nalgebra::Vector3;
 use std::path::Path;
 use wcal_session::{TextTable, TextTableLayout, read_text_table};
-use wcal_track::known_groove::KnownPlace;
 
 const GROOVE: [&str; 3] = ["groove_x_mm", "groove_y_mm", "groove_z_mm"];
 
@@ -12,7 +12,7 @@ const GROOVE: [&str; 3] = ["groove_x_mm", "groove_y_mm", "groove_z_mm"];
 ///
 /// # Errors
 /// Where the table cannot be read.
-pub fn known_places(path: &Path) -> Result<Vec<KnownPlace>> {
+pub fn known_places(path: &Path) -> Result<Vec<KnownPlace>, ContactError> {
     let table: TextTable = read_text_table(path, &TextTableLayout::default())?;
     let column = |name: &str| table.column(name).ok();
     let (Some(time), [Some(x), Some(y), Some(z)]) = (column("t_s"), GROOVE.map(column)) else {

@@ -3,12 +3,12 @@
 //! A reading at which the stage stood takes the last answer before it, a moving one the nearest in time; with h of n readings in their 90 %
 //! regions, `P(H <= h)` of the binomial distribution with p = 0.9 says whether fewer are an accident.
 
-use crate::network::Prediction;
-use crate::score::{EstimateError, scores};
 use nalgebra::{Matrix3, Vector3};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use wcal_core::observation::WhiskerSpec;
+use wcal_track::network::Prediction;
+use wcal_track::score::{EstimateError, scores};
 
 /// Longest interval between a reading and the answer that it is compared with, s.
 const MAX_INTERVAL_S: f64 = 0.3;

@@ -6,17 +6,17 @@
 //! ```
 
 use crate::contact_history::ContactHistory;
-use crate::filter::FilterBank;
 use crate::known_groove::KnownGroove;
 use crate::known_motion::Region;
 use crate::motion_judge::{JudgedRow, MotionJudge, UnjudgedRow};
-use crate::network::Prediction;
-use crate::stream::BasePose;
-use crate::tare::Tare;
-use crate::tracker::{Sample, Tracker, TrackerStream};
-use crate::train::TrainSettings;
 use nalgebra::Vector3;
 use wcal_core::stream::{Flags, StreamMoments};
+use wcal_track::Tare;
+use wcal_track::filter::FilterBank;
+use wcal_track::network::Prediction;
+use wcal_track::stream::BasePose;
+use wcal_track::tracker::{Sample, Tracker, TrackerStream};
+use wcal_track::train::TrainSettings;
 
 /// What is known at a time.
 #[derive(Debug, Clone, Copy)]

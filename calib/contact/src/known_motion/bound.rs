@@ -11,7 +11,7 @@
 use super::contact_path::{ContactPath, State};
 use super::likelihood::{Likelihood, moved};
 use super::{Episode, MomentField, Settings};
-use crate::TrackError;
+use crate::ContactError;
 use nalgebra::{Matrix3, Vector3};
 
 /// Bayesian Cramer-Rao bound of the contact point at an episode's true state, mm^2: `T J^-1 T'` of the module's head.
@@ -24,7 +24,7 @@ pub fn bound_mm2(
     episode: &Episode,
     settings: &Settings,
     truth: &State,
-) -> Result<Option<Matrix3<f64>>, TrackError> {
+) -> Result<Option<Matrix3<f64>>, ContactError> {
     let Some(path) = ContactPath::new(field, episode) else { return Ok(None) };
     let plain = Likelihood::new(&path, settings, None)?;
     let likelihood = Likelihood::new(&path, settings, Some((truth, &plain)))?;
@@ -49,7 +49,7 @@ pub fn bound_mm(
     episode: &Episode,
     settings: &Settings,
     truth: &State,
-) -> Result<Option<f64>, TrackError> {
+) -> Result<Option<f64>, ContactError> {
     Ok(bound_mm2(field, episode, settings, truth)?.map(|b| b.trace().max(0.0).sqrt()))
 }
 

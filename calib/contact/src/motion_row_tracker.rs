@@ -8,24 +8,24 @@
 //! one pose share, forgotten over half a millimetre; the zero may be off by half of that, another two unknowns of all rows. Assumptions, as
 //! for tables.
 
+use crate::ContactError;
 use crate::arc::{arclength_regions, moments_alone};
 use crate::contact_history::ContactHistory;
-use crate::error::TrackError;
-use crate::inverse::{InverseGrid, StaticInverse};
 use crate::known_groove::KnownGroove;
 use crate::known_motion::contact_stream::FinishedEpisode;
 use crate::known_motion::{
     ContactStream, Lost, MomentField, MotionRow, Place, PoseNoise, RecursiveSettings, Settings,
 };
-use crate::network::Prediction;
 use crate::row_tracker::TrackedRow;
-use crate::stream::BasePose;
-use crate::tare::Tare;
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use wcal_core::observation::WhiskerSpec;
 use wcal_core::stream::{Flags, MomentSpread, StreamMoments};
+use wcal_track::Tare;
+use wcal_track::inverse::{InverseGrid, StaticInverse};
+use wcal_track::network::Prediction;
+use wcal_track::stream::BasePose;
 
 /// Displacement over which a draw of the noise from pose to pose is forgotten, mm. An assumption.
 const POSE_MM: f64 = 0.5;
@@ -133,7 +133,7 @@ impl MotionRowTracker {
     ///
     /// # Errors
     /// For a row that cannot be used, and where the wire cannot be bent.
-    pub fn push(&mut self, row: &MotionInput) -> Result<TrackedRow, TrackError> {
+    pub fn push(&mut self, row: &MotionInput) -> Result<TrackedRow, ContactError> {
         let MotionInput { t_s, base, base_mm_s, .. } = *row;
         let moments =
             row.moments.map(|m| StreamMoments { moment_nmm: self.tare.zeroed(t_s, m.moment_nmm), ..m });
@@ -165,7 +165,7 @@ impl MotionRowTracker {
         m: &StreamMoments,
         motion: &RowMotion,
         nothing: TrackedRow,
-    ) -> Result<TrackedRow, TrackError> {
+    ) -> Result<TrackedRow, ContactError> {
         let pose_nmm2 = row.spread.noise_nmm2;
         let stream = self.stream.get_or_insert_with(|| {
             let common = Settings { clock_sd_s: self.accuracy.clock_sd_s, ..Settings::default() };
@@ -205,7 +205,7 @@ impl MotionRowTracker {
         noise_nmm2: Option<Matrix2<f64>>,
         why: Lost,
         nothing: TrackedRow,
-    ) -> Result<TrackedRow, TrackError> {
+    ) -> Result<TrackedRow, ContactError> {
         // The row's own noise may be larger than that from pose to pose, which is one of averages.
         let own = noise_nmm2.map_or(0.0, |n| n.trace());
         let sd_nmm = (m.sd_nmm[0].powi(2) + m.sd_nmm[1].powi(2) + own).sqrt();

@@ -1,11 +1,11 @@
 //! Results over all rows of a whisker: contact intervals, and the cloud of contacts for a surface.
 
-use crate::network::Prediction;
-use crate::segments::SegmentFinder;
-use crate::stream::BasePose;
-use crate::surface::CloudPoint;
 use nalgebra::{Isometry3, Matrix3, Translation3, Vector3};
 use serde_json::{Value, json};
+use wcal_track::network::Prediction;
+use wcal_track::segments::SegmentFinder;
+use wcal_track::stream::BasePose;
+use wcal_track::surface::CloudPoint;
 
 /// Contacts of this probability and more are points of the surface.
 const TOUCHED: f32 = 0.9;

@@ -8,14 +8,14 @@
 //! | known or noticed to be another | `untrained-motion` | mean over the arc | what the moments alone allow (`arc::moments_alone`) |
 
 use crate::arc::{any_motion, arclength_regions, moments_alone};
-use crate::inverse::StaticInverse;
 use crate::known_motion::Region;
-use crate::network::Prediction;
-use crate::train::TrainSettings;
-use crate::untrained_motion::{MotionCheck, MotionSample};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use wcal_core::stream::{Flags, StreamMoments};
+use wcal_track::inverse::StaticInverse;
+use wcal_track::network::Prediction;
+use wcal_track::train::TrainSettings;
+use wcal_track::untrained_motion::{MotionCheck, MotionSample};
 
 /// A row of the network before it is judged.
 #[derive(Debug, Clone)]

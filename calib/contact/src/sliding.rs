@@ -19,11 +19,11 @@
 //! the force.
 
 use crate::arc::{arclength_regions, moments_alone};
-use crate::filter::{BayesFilter, BayesSettings, ObjectStep};
-use crate::inverse::StaticInverse;
 use crate::known_motion::{MotionRow, Place, Region};
-use crate::network::Prediction;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use wcal_track::filter::{BayesFilter, BayesSettings, ObjectStep};
+use wcal_track::inverse::StaticInverse;
+use wcal_track::network::Prediction;
 
 /// Log likelihood ratio of the motion to its reverse from which on it counts as the object's.
 const MIN_RATIO: f64 = 10.0;

@@ -9,13 +9,13 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use statrs::distribution::{Binomial, DiscreteCDF};
+use wcal_contact::known_motion::MotionRow;
+use wcal_contact::sliding::{SlidingContact, locate_sliding};
 use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_rod::Shape;
 use wcal_sim::SweepPlan;
 use wcal_sim::objects::built_in;
 use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
-use wcal_track::known_motion::MotionRow;
-use wcal_track::sliding::{SlidingContact, locate_sliding};
 use wcal_track::{InverseGrid, StaticInverse, SweepSample};
 
 /// The first four are those that the share of lost contacts was counted on; the others judge it.

@@ -1,7 +1,7 @@
 //! What speaks against tracking with a calibration and a model.
 
-use crate::known_motion::contact_sentence;
-use anyhow::{Result, anyhow, bail};
+use crate::ContactError;
+use crate::row_tracker::RowTracker;
 use std::path::{Path, PathBuf};
 use wcal_calibration::{
     CalibrationModel, TrustIssue, WhiskerCalibration, of_whisker, read_unsealed, standing,
@@ -10,7 +10,6 @@ use wcal_core::{CalibrationFile, VerificationStatus, WhiskerSpec};
 use wcal_track::Tracker;
 use wcal_track::filter::FilterBank;
 use wcal_track::model_file::Card;
-use wcal_track::row_tracker::RowTracker;
 use wcal_track::tracker::trained_steps_s;
 
 /// What speaks against a calibration and a model, each with a short code for the rows and a sentence for people.
@@ -77,7 +76,7 @@ impl WhiskerModel<'_> {
     ///
     /// # Errors
     /// Where the calibration cannot be read.
-    pub fn without_network(name: &str, place: &Path) -> Result<Self> {
+    pub fn without_network(name: &str, place: &Path) -> Result<Self, ContactError> {
         let (file, issues) = calibration_issues(place)?;
         Ok(Self {
             name: name.to_owned(),
@@ -92,7 +91,7 @@ impl WhiskerModel<'_> {
     ///
     /// # Errors
     /// Where it is of another kind of session.
-    pub fn calibration(&self) -> Result<&dyn WhiskerCalibration> {
+    pub fn calibration(&self) -> Result<&dyn WhiskerCalibration, ContactError> {
         Ok(of_whisker(&self.place, &self.file)?)
     }
 
@@ -100,13 +99,11 @@ impl WhiskerModel<'_> {
     ///
     /// # Errors
     /// Where neither says.
-    pub fn whisker(&self) -> Result<&WhiskerSpec> {
+    pub fn whisker(&self) -> Result<&WhiskerSpec, ContactError> {
         let own = self.network.as_ref().map(|n| &n.card.whisker).or(self.file.whisker.as_ref());
         own.ok_or_else(|| {
-            anyhow!(
-                "{}: expected a calibration that says of which whisker it is, found an older one",
-                self.place.display()
-            )
+            let place = self.place.display().to_string();
+            ContactError::value(place, "a calibration that says of which whisker it is", "an older one")
         })
     }
 
@@ -152,9 +149,11 @@ fn never_written(place: &Path) -> Option<String> {
 ///
 /// # Errors
 /// Where the file cannot be read, or was changed so that its content means nothing any more.
-pub fn calibration_issues(place: &Path) -> Result<(CalibrationFile<CalibrationModel>, Vec<TrustIssue>)> {
+pub fn calibration_issues(
+    place: &Path,
+) -> Result<(CalibrationFile<CalibrationModel>, Vec<TrustIssue>), ContactError> {
     if let Some(why) = never_written(place) {
-        bail!(why);
+        return Err(ContactError::NoCalibration(why));
     }
     let (file, changed) = read_unsealed(place)?;
     of_whisker(place, &file)?;
@@ -164,14 +163,6 @@ pub fn calibration_issues(place: &Path) -> Result<(CalibrationFile<CalibrationMo
         issues.push(TrustIssue::NeverVerified);
     }
     Ok((file, issues))
-}
-
-/// Says at the start what a calibration makes of a contact, where it knows; `whisker` is its name among several, or empty.
-pub fn say_contact_uncertainty(whisker: &str, file: &CalibrationFile<CalibrationModel>) {
-    let whose = if whisker.is_empty() { String::new() } else { format!("whisker {whisker}: ") };
-    if let Some(contact) = &file.contact_uncertainty {
-        eprintln!("{whose}{}", contact_sentence(contact));
-    }
 }
 
 /// A whisker's calibration judged beside a model's card, before the model itself is loaded.
@@ -195,6 +186,11 @@ impl CheckedCalibration {
         &self.file
     }
 
+    /// Where it lies.
+    pub fn place(&self) -> &Path {
+        &self.place
+    }
+
     /// With its model.
     pub fn with(self, tracker: &Tracker) -> WhiskerModel<'_> {
         let Self { name, place, file, card, doubts } = self;
@@ -205,16 +201,10 @@ impl CheckedCalibration {
     ///
     /// # Errors
     /// Where the calibration cannot be read, or was changed so that its content means nothing any more.
-    pub fn read(name: &str, place: &Path, card: Card) -> Result<Self> {
+    pub fn read(name: &str, place: &Path, card: Card) -> Result<Self, ContactError> {
         let (file, mut issues) = calibration_issues(place)?;
-        match file.whisker.as_ref().map(|w| w.difference(&card.whisker)) {
-            Some(Some(found)) => issues.push(TrustIssue::OtherWhisker(found)),
-            Some(None) => {}
-            None => eprintln!(
-                "warning: {}: it does not say of which whisker; the model is taken to fit",
-                place.display()
-            ),
-        }
+        let differs = file.whisker.as_ref().and_then(|w| w.difference(&card.whisker));
+        issues.extend(differs.map(TrustIssue::OtherWhisker));
         let doubts = TrustIssues(issues);
         Ok(Self { name: name.to_owned(), place: place.to_owned(), file, card, doubts })
     }

@@ -16,11 +16,11 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use std::sync::Arc;
 use std::time::Instant;
-use wcal_core::observation::{MomentAxes, WhiskerSpec};
-use wcal_rod::Rod;
-use wcal_track::known_motion::{
+use wcal_contact::known_motion::{
     ContactStream, Friction, MomentField, MotionRow, PoseNoise, RecursiveSettings, Settings,
 };
+use wcal_core::observation::{MomentAxes, WhiskerSpec};
+use wcal_rod::Rod;
 
 const NOISE_NMM: f64 = 4e-3;
 const STEP_S: f64 = 0.0025;

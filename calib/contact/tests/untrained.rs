@@ -8,15 +8,15 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use std::path::Path;
+use wcal_contact::known_motion::{Friction, MomentField, Region};
+use wcal_contact::motion_judge::{JudgedRow, MotionJudge, UnjudgedRow};
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_rod::Rod;
 use wcal_sim::physics::PhysicsPlan;
 use wcal_sim::{SweepPlan, objects};
 use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
-use wcal_track::known_motion::{Friction, MomentField, Region};
 use wcal_track::model_file::{Card, load};
-use wcal_track::motion_judge::{JudgedRow, MotionJudge, UnjudgedRow};
 use wcal_track::network::Prediction;
 use wcal_track::{Sample, SweepSeries, Tracker};
 

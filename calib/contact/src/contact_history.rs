@@ -1,14 +1,10 @@
 //! Results over all rows of a whisker: contact intervals, and the cloud of contacts for a surface.
 
-use nalgebra::{Isometry3, Matrix3, Translation3, Vector3};
-use serde_json::{Value, json};
-use wcal_track::network::Prediction;
-use wcal_track::segments::SegmentFinder;
+use crate::estimator::ContactEstimate;
+use nalgebra::{Isometry3, Translation3, Vector3};
+use wcal_track::segments::{Segment, SegmentFinder};
 use wcal_track::stream::BasePose;
 use wcal_track::surface::CloudPoint;
-
-/// Contacts of this probability and more are points of the surface.
-const TOUCHED: f32 = 0.9;
 
 /// Results over the rows of one whisker.
 #[derive(Debug, Default)]
@@ -28,23 +24,23 @@ impl ContactHistory {
         Self { segments: SegmentFinder::new(whisker), ..Self::default() }
     }
 
-    /// Takes a row and returns the number of its segment.
+    /// Takes a row and returns the number of its segment; `on_object`: its place is a point of the cloud.
     pub fn row(
         &mut self,
         t_s: f64,
-        answer: Option<&Prediction>,
+        estimate: Option<&ContactEstimate>,
+        on_object: bool,
         base: Option<BasePose>,
         base_mm_s: Option<f64>,
     ) -> Option<u64> {
         let step_s = self.last_s.replace(t_s).map_or(0.0, |last| t_s - last);
         let step_mm = base_mm_s.unwrap_or(0.0) * step_s;
         self.way_mm += step_mm;
-        let Some(p) = answer else {
+        let Some(p) = estimate else {
             self.segments.gap();
             return None;
         };
-        let point_mm = Vector3::from(p.point_mm.map(f64::from));
-        let covariance = Matrix3::from_fn(|i, j| f64::from(p.covariance_mm2[i][j]));
+        let (point_mm, covariance) = (p.place_mm, p.covariance_mm2);
         let known_way = base.map(|b| b.world_from_base).or_else(|| {
             base_mm_s.map(|_| {
                 Isometry3::from_parts(
@@ -53,14 +49,14 @@ impl ContactHistory {
                 )
             })
         });
-        if let (Some(world_from_base), true) = (known_way, p.contact >= TOUCHED) {
+        if let (Some(world_from_base), true) = (known_way, on_object) {
             self.posed |= base.is_some();
             let pose = BasePose { world_from_base, velocity_mm_s: None };
             let (point_mm, covariance_mm2) = pose.to_world(&point_mm, &covariance);
-            let normal = world_from_base.rotation * Vector3::from(p.normal.map(f64::from));
+            let normal = world_from_base.rotation * p.normal;
             self.cloud.push(CloudPoint { point_mm, covariance_mm2, normal });
         }
-        self.segments.push(t_s, f64::from(p.contact), point_mm, covariance, step_mm)
+        self.segments.push(t_s, p.probability, point_mm, covariance, step_mm)
     }
 
     /// Probable contacts where the motion of the base is known, in the frame in which it moves, mm.
@@ -88,7 +84,7 @@ impl ContactHistory {
 
     /// Contact intervals for track.json.
     #[must_use]
-    pub fn segments(&self) -> Value {
-        json!(self.segments.all())
+    pub fn segments(&self) -> Vec<Segment> {
+        self.segments.all()
     }
 }

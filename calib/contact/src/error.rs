@@ -15,6 +15,9 @@ pub enum ContactError {
     /// A table that cannot be read.
     #[error(transparent)]
     Table(#[from] SessionError),
+    /// A stream that cannot be used.
+    #[error(transparent)]
+    Stream(#[from] wcal_acquisition::AcquisitionError),
     /// There is no calibration, and why.
     #[error("{0}")]
     NoCalibration(String),

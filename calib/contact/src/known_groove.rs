@@ -3,11 +3,11 @@
 //! A reading at which the stage stood takes the last answer before it, a moving one the nearest in time; with h of n readings in their 90 %
 //! regions, `P(H <= h)` of the binomial distribution with p = 0.9 says whether fewer are an accident.
 
+use crate::estimator::ContactEstimate;
+use crate::track_document::GrooveScore;
 use nalgebra::{Matrix3, Vector3};
-use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use wcal_core::observation::WhiskerSpec;
-use wcal_track::network::Prediction;
 use wcal_track::score::{EstimateError, scores};
 
 /// Longest interval between a reading and the answer that it is compared with, s.
@@ -86,14 +86,13 @@ impl KnownGroove {
     }
 
     /// Takes the answer at a time; readings up to there are compared with the last one before them, moving ones with the nearest.
-    pub fn push(&mut self, t_s: f64, answer: &Prediction) {
-        let normal = Vector3::from(answer.normal.map(f64::from));
+    pub fn push(&mut self, t_s: f64, estimate: &ContactEstimate) {
         let now = Answer {
             t_s,
             // The contact is on the object's surface; the groove's place is that of the wire's axis.
-            axis_mm: Vector3::from(answer.point_mm.map(f64::from)) + normal * self.radius_mm,
-            covariance_mm2: Matrix3::from_fn(|i, j| f64::from(answer.covariance_mm2[i][j])),
-            contact: f64::from(answer.contact),
+            axis_mm: estimate.place_mm + estimate.normal * self.radius_mm,
+            covariance_mm2: estimate.covariance_mm2,
+            contact: estimate.probability,
         };
         while let Some(place) = self.places.get(self.next).filter(|p| p.t_s <= t_s) {
             let nearer =
@@ -121,16 +120,21 @@ impl KnownGroove {
 
     /// For track.json; none where nothing was compared.
     #[must_use]
-    pub fn summary(&self) -> Option<Value> {
+    pub fn score(&self) -> Option<GrooveScore> {
         if self.compared.is_empty() {
             return None;
         }
         let s = scores(&self.compared);
-        let largest_mm = self.compared.iter().map(|c| c.error_mm.norm()).fold(0.0, f64::max);
-        Some(json!({
-            "readings": self.places.len(), "compared": s.samples, "without_contact": self.unseen, "rmse_mm": s.true_contact_rmse_mm,
-            "median_mm": s.true_contact_median_mm, "p95_mm": s.p95_mm, "largest_mm": largest_mm, "coverage90": s.coverage90,
-        }))
+        Some(GrooveScore {
+            readings: self.places.len(),
+            compared: s.samples,
+            without_contact: self.unseen,
+            rmse_mm: s.true_contact_rmse_mm,
+            median_mm: s.true_contact_median_mm,
+            p95_mm: s.p95_mm,
+            largest_mm: self.compared.iter().map(|c| c.error_mm.norm()).fold(0.0, f64::max),
+            coverage90: s.coverage90,
+        })
     }
 
     /// RMS error at the last compared reading of each contact (first and last time, s), mm: a contact's readings before it knew less. None
@@ -153,17 +157,16 @@ impl KnownGroove {
     /// The same for people.
     #[must_use]
     pub fn message(&self) -> Option<String> {
-        let s = self.summary()?;
-        let mm = |key: &str| s[key].as_f64().unwrap_or(f64::NAN);
+        let s = self.score()?;
         Some(format!(
             "known groove, {} readings: the tracked contact is off by {:.2} mm RMS (median {:.2}, largest {:.2}); {:.0} % lie in the stated \
              90 % regions; no contact seen at {}",
-            s["compared"],
-            mm("rmse_mm"),
-            mm("median_mm"),
-            mm("largest_mm"),
-            100.0 * mm("coverage90"),
-            s["without_contact"]
+            s.compared,
+            s.rmse_mm,
+            s.median_mm,
+            s.largest_mm,
+            100.0 * s.coverage90.unwrap_or(f64::NAN),
+            s.without_contact
         ))
     }
 }
@@ -187,11 +190,13 @@ mod tests {
         KnownPlace { line, t_s, groove_mm: Vector3::new(x, 0.0, 0.0), settled: Some(settled) }
     }
 
-    fn answer(x: f32, sd_mm: f32) -> Prediction {
-        let mut covariance_mm2 = [[0.0; 3]; 3];
-        (0..3).for_each(|k| covariance_mm2[k][k] = sd_mm * sd_mm);
-        let (weights, normal) = (Vec::new(), [0.0, 0.0, 1.0]);
-        Prediction { contact: 0.9, several: 0.0, point_mm: [x, 0.0, -0.15], covariance_mm2, weights, normal }
+    fn answer(x: f64, sd_mm: f64) -> ContactEstimate {
+        ContactEstimate {
+            probability: 0.9,
+            place_mm: Vector3::new(x, 0.0, -0.15),
+            covariance_mm2: Matrix3::identity() * sd_mm * sd_mm,
+            normal: Vector3::z(),
+        }
     }
 
     #[test]
@@ -203,15 +208,15 @@ mod tests {
             groove.push(t_s, &answer(x, 0.5));
         }
         // Standing: the answer before. Moving: the nearest. None within reach of the third.
-        let s = groove.summary().unwrap();
-        assert_eq!((&s["readings"], &s["compared"]), (&3.into(), &2.into()), "{s}");
-        assert!((s["largest_mm"].as_f64().unwrap() - 1.0).abs() < 1e-6, "{s}");
+        let s = groove.score().unwrap();
+        assert_eq!((s.readings, s.compared), (3, 2), "{s:?}");
+        assert!((s.largest_mm - 1.0).abs() < 1e-6, "{s:?}");
         assert!(KnownGroove::new(Vec::new(), &whisker).is_none());
     }
 
     #[test]
     fn regions_that_hold_too_little_are_told_from_chance() {
-        let run = |off_mm: f32, n: usize| {
+        let run = |off_mm: f64, n: usize| {
             let places = (0..n).map(|k| place(k, k as f64, 20.0, true)).collect();
             let mut groove = KnownGroove::new(places, &WhiskerSpec::nominal()).unwrap();
             (0..n).for_each(|k| groove.push(k as f64, &answer(20.0 + off_mm, 1.0)));

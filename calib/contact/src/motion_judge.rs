@@ -8,7 +8,9 @@
 //! | known or noticed to be another | `untrained-motion` | mean over the arc | what the moments alone allow (`arc::moments_alone`) |
 
 use crate::arc::{any_motion, arclength_regions, moments_alone};
+use crate::estimator::Message;
 use crate::known_motion::Region;
+use crate::track_document::UntrainedRows;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use wcal_core::stream::{Flags, StreamMoments};
@@ -89,16 +91,34 @@ impl MotionJudge {
         JudgedRow { flags: Flags::default(), answer, regions }
     }
 
-    /// Rows in a motion that no training sweep has, by its name.
+    /// For track.json: rows by what their motion is.
     #[must_use]
-    pub fn untrained(&self) -> &BTreeMap<&'static str, u64> {
-        &self.untrained
+    pub fn document(&self) -> UntrainedRows {
+        let rows = self.untrained.values().sum();
+        UntrainedRows { rows, by_motion: self.untrained.clone(), assumed_rows: self.assumed }
     }
 
-    /// Rows in contact whose motion is not known and was assumed to be as in training.
+    /// The same for people; `rows`: all of them.
     #[must_use]
-    pub fn assumed(&self) -> u64 {
-        self.assumed
+    pub fn messages(&self, rows: u64) -> Vec<Message> {
+        let mut all = Vec::new();
+        if !self.untrained.is_empty() {
+            let by: Vec<String> = self.untrained.iter().map(|(name, n)| format!("{name} {n}")).collect();
+            all.push(Message::warning(format!(
+                "{} of {rows} rows are contact in a motion that the model was never trained on ({}): their places are what the \
+                 moments alone tell, an arc of the wire; marked untrained-motion in status",
+                self.untrained.values().sum::<u64>(),
+                by.join(", ")
+            )));
+        }
+        if self.assumed > 0 {
+            all.push(Message::warning(format!(
+                "{} of {rows} rows are contact in a motion that is not known: their places assume one as in training (the base along \
+                 its +z past an object at rest), their regions hold for any; marked motion-assumed in status (--sweep vouches for the motion)",
+                self.assumed
+            )));
+        }
+        all
     }
 
     /// Whether a row is not what the network was trained for, or not known to be.

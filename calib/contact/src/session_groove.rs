@@ -4,18 +4,21 @@
 mod tests;
 
 use crate::ContactError;
+use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
 use crate::known_groove::at_most;
 use crate::known_motion::contact_path::ContactPath;
 use crate::known_motion::posterior::REGION;
 use crate::known_motion::{
-    CorrelatedShare, Disagreement, Episode, Friction, Innovations, Located, MomentField, MotionRow, Place,
-    Posterior, Region, Settings, bound_mm, locate, share_correlated,
+    CorrelatedShare, Disagreement, Episode, Friction, Located, Lost, MomentField, MotionRow, Place, Region,
+    Settings, bound_mm, locate, share_correlated,
 };
+use crate::reading::{Moments, Reading};
+use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
 use nalgebra::{Rotation3, Vector3};
 use rayon::prelude::*;
-use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::observation::MomentAxes;
+use wcal_core::stream::Flags;
 use wcal_core::verify_document::{CalibrationContact, ContactUncertainty, GrooveTracking};
 use wcal_core::{Role, WhiskerData, WhiskerRow};
 use wcal_trace::whisker::WhiskerSystem;
@@ -232,13 +235,8 @@ impl TrackedSession {
     }
 
     /// What was found on each trajectory, for track.json.
-    pub fn summary(&self) -> Vec<Value> {
-        let of = |t: &TrackedTrajectory| {
-            let mut summary = found_summary(&t.found);
-            summary["trajectory"] = t.id.into();
-            summary["readings"] = t.readings.len().into();
-            summary
-        };
+    pub fn document(&self) -> Vec<ContactDocument> {
+        let of = |t: &TrackedTrajectory| ContactDocument::of_trajectory(t.id, &t.found, t.readings.len());
         self.trajectories.iter().map(of).collect()
     }
 
@@ -251,19 +249,105 @@ impl TrackedSession {
     }
 }
 
-/// What an episode told, for track.json.
-pub fn found_summary(found: &Located) -> Value {
-    let mut summary = innovations_summary(&found.innovations, found.disagreement);
-    summary["regions"] = json!(found.posterior.as_ref().map(Posterior::regions));
-    summary
+/// A session along the known way of its groove, as an estimator: all readings are known beforehand.
+pub struct SessionGroove {
+    tracked: TrackedSession,
+    /// Number of each reading in the system's path, in order of time.
+    order: Vec<usize>,
+    /// The comparison with the groove, once its place may be known.
+    groove: Option<GrooveTracking>,
 }
 
-/// Innovations and what speaks against motion and moments, for track.json.
-pub fn innovations_summary(i: &Innovations, disagreement: Option<Disagreement>) -> Value {
-    json!({
-        "regions": null, "chi2": i.plain, "chi2_robust": i.robust, "dof": i.dof, "gross": i.gross,
-        "disagreement": disagreement.map(Disagreement::name),
-    })
+/// A session's readings through a calibration, in order of time, with the estimator that knows their motion.
+///
+/// # Errors
+/// Where moments or motion cannot be used.
+pub fn session_readings(
+    system: &WhiskerSystem,
+    motion: GrooveMotion,
+) -> Result<(Vec<Reading>, SessionGroove), ContactError> {
+    let one = |r: &MovedReading| {
+        let sd = |c: usize| {
+            let shared: f64 = r.shared_nmm.iter().map(|h| h[c] * h[c]).sum();
+            (r.noise_nmm2[(c, c)] + shared).sqrt()
+        };
+        let moments = Moments {
+            moment_nmm: r.moment_nmm,
+            sd_nmm: [sd(0), sd(1)],
+            valid: r.valid,
+            pose_nmm2: r.noise_nmm2,
+            own_nmm2: None,
+            shared_nmm: r.shared_nmm.clone(),
+        };
+        Reading {
+            point: system.row(r.reading).point,
+            t_s: r.t_s,
+            flags: Flags::default(),
+            moments: Some(moments),
+            // Each trajectory has its own way, which the estimator knows.
+            motion: Err(Lost::Unknown),
+            base: None,
+            base_mm_s: None,
+            velocity_mm_s: None,
+            touching: None,
+            in_prefix: false,
+            gap: false,
+        }
+    };
+    let readings = motion.readings.iter().map(one).collect();
+    let order = motion.readings.iter().map(|r| r.reading).collect();
+    let tracked = track(system, motion, |_| true)?;
+    Ok((readings, SessionGroove { tracked, order, groove: None }))
+}
+
+impl SessionGroove {
+    /// Compares the answers with the groove, whose place `known` gives by reading of the system's path.
+    ///
+    /// # Errors
+    /// Where the bound cannot be computed.
+    pub fn compare(
+        &mut self,
+        system: &WhiskerSystem,
+        known: impl Fn(usize) -> Option<Vector3<f64>>,
+    ) -> Result<Option<GrooveTracking>, ContactError> {
+        self.groove = groove_tracking(&self.tracked.compared(system, known)?, "fit");
+        Ok(self.groove.clone())
+    }
+}
+
+impl Estimator for SessionGroove {
+    fn push(&mut self, _: &Reading) -> Result<Vec<Contact>, ContactError> {
+        Ok(Vec::new())
+    }
+
+    fn finish(&mut self) -> Result<Vec<Contact>, ContactError> {
+        let (places, regions) = (self.tracked.places(), self.tracked.regions());
+        let lines = self.tracked.trajectories.iter().flat_map(|t| &t.readings);
+        let lines: BTreeMap<usize, usize> = lines.map(|r| (r.reading, r.line)).collect();
+        let one = |reading: &usize| {
+            let (place, disagreement) = places.get(reading)?;
+            let flags = disagreement.map_or_else(Flags::default, |_| Flags::MOTION_DISAGREES);
+            let regions = regions.get(lines.get(reading)?).cloned().unwrap_or_default();
+            Some(Contact { estimate: ContactEstimate::of_place(place), flags, regions, ..Contact::default() })
+        };
+        Ok(self.order.iter().map(|r| one(r).unwrap_or_default()).collect())
+    }
+
+    fn findings(&self) -> Findings {
+        let document = EstimatorDocument {
+            method: Some(Method::KnownMotion),
+            place: Some(AXIS_OF_WIRE),
+            trajectories: Some(self.tracked.document()),
+            ..EstimatorDocument::default()
+        };
+        let disagreements = self.tracked.disagreements();
+        let doubt = !disagreements.is_empty();
+        let marked = |said: String| Message::note(format!("{said}; marked motion-disagrees in status"));
+        let mut messages: Vec<Message> = disagreements.into_iter().map(marked).collect();
+        messages.extend(self.groove.as_ref().map(|g| Message::note(groove_sentence(g))));
+        let misstated = self.groove.as_ref().is_some_and(misstated);
+        Findings { document, messages, doubt, misstated, ..Findings::default() }
+    }
 }
 
 /// What speaks against motion and moments; none where nothing does.

@@ -3,17 +3,17 @@
 use crate::ContactError;
 use crate::known_motion::{Disagreement, Located, MotionRow};
 use crate::sliding::{SlidingContact, locate_sliding};
-use wcal_calibration::SensedRow;
 use wcal_core::WhiskerSpec;
 use wcal_track::{InverseGrid, StaticInverse};
 
-/// By episode the contact as one that slides, where no fixed point explains the moments; its motion may not support it.
+/// By episode the contact as one that slides, where no fixed point explains the moments; its motion may not support it. `noise_nmm`:
+/// standard deviation of the moments from pose to pose, N mm.
 ///
 /// # Errors
 /// Where the wire cannot be bent.
 pub fn sliding_contacts(
     whisker: &WhiskerSpec,
-    rows: &[SensedRow],
+    noise_nmm: f64,
     known: &[MotionRow],
     episodes: &[([usize; 2], &Located)],
 ) -> Result<Vec<Option<SlidingContact>>, ContactError> {
@@ -22,10 +22,8 @@ pub fn sliding_contacts(
         return Ok(vec![None; episodes.len()]);
     }
     let inverse = StaticInverse::new(whisker, InverseGrid { refine: 2, ..InverseGrid::default() })?;
-    let variance = rows.iter().map(|r| 0.5 * r.sensed.noise_nmm2.trace()).sum::<f64>() / rows.len() as f64;
     let one = |([from, to], found): &([usize; 2], &Located)| {
-        let slides =
-            |all: &[MotionRow]| locate_sliding(&inverse, all, variance.sqrt(), whisker.diameter_mm / 2.0);
+        let slides = |all: &[MotionRow]| locate_sliding(&inverse, all, noise_nmm, whisker.diameter_mm / 2.0);
         unexplained(found).then(|| slides(&known[*from..*to]))
     };
     Ok(episodes.iter().map(one).collect())

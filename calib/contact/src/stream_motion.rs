@@ -10,7 +10,7 @@
 
 use crate::ContactError;
 use crate::known_motion::{Lost, MotionLog};
-use crate::motion_row_tracker::RowMotion;
+use crate::reading::RowMotion;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use std::collections::BTreeMap;
 use wcal_acquisition::message::SweepEvent;

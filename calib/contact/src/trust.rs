@@ -1,11 +1,13 @@
 //! What speaks against tracking with a calibration and a model.
 
 use crate::ContactError;
-use crate::row_tracker::RowTracker;
+use crate::frame::WireFrame;
+use crate::network::NetworkEstimator;
 use std::path::{Path, PathBuf};
 use wcal_calibration::{
     CalibrationModel, TrustIssue, WhiskerCalibration, of_whisker, read_unsealed, standing,
 };
+use wcal_core::observation::MomentAxes;
 use wcal_core::{CalibrationFile, VerificationStatus, WhiskerSpec};
 use wcal_track::Tracker;
 use wcal_track::filter::FilterBank;
@@ -17,11 +19,6 @@ use wcal_track::tracker::trained_steps_s;
 pub struct TrustIssues(Vec<TrustIssue>);
 
 impl TrustIssues {
-    /// These.
-    pub fn of(issues: Vec<TrustIssue>) -> Self {
-        Self(issues)
-    }
-
     /// Whether there are none.
     pub fn none(&self) -> bool {
         self.0.is_empty()
@@ -72,21 +69,6 @@ pub fn filters_for(filters: FilterBank, model: &CalibrationModel) -> FilterBank 
 }
 
 impl WhiskerModel<'_> {
-    /// A whisker without a network: its contacts come from a known motion.
-    ///
-    /// # Errors
-    /// Where the calibration cannot be read.
-    pub fn without_network(name: &str, place: &Path) -> Result<Self, ContactError> {
-        let (file, issues) = calibration_issues(place)?;
-        Ok(Self {
-            name: name.to_owned(),
-            place: place.to_owned(),
-            file,
-            network: None,
-            doubts: TrustIssues(issues),
-        })
-    }
-
     /// Its calibration from wavelengths to moments.
     ///
     /// # Errors
@@ -95,23 +77,38 @@ impl WhiskerModel<'_> {
         Ok(of_whisker(&self.place, &self.file)?)
     }
 
-    /// The whisker: the model's, else the calibration's.
+    /// The frame of the wire; that of its moments is the default one.
+    ///
+    /// # Errors
+    /// Where the moments are not across the wire's root.
+    pub fn frame(&self) -> Result<WireFrame, ContactError> {
+        let own = self.file.whisker.as_ref().or(self.network.as_ref().map(|n| &n.card.whisker));
+        own.map_or_else(|| Err(self.nameless()), |whisker| WireFrame::new(whisker, &MomentAxes::default()))
+    }
+
+    /// The whisker in that frame: the model's, else the calibration's.
     ///
     /// # Errors
     /// Where neither says.
-    pub fn whisker(&self) -> Result<&WhiskerSpec, ContactError> {
-        let own = self.network.as_ref().map(|n| &n.card.whisker).or(self.file.whisker.as_ref());
-        own.ok_or_else(|| {
-            let place = self.place.display().to_string();
-            ContactError::value(place, "a calibration that says of which whisker it is", "an older one")
-        })
+    pub fn whisker(&self) -> Result<WhiskerSpec, ContactError> {
+        match (&self.network, &self.file.whisker) {
+            (Some(network), _) => Ok(network.card.whisker.clone()),
+            (None, Some(whisker)) => Ok(self.frame()?.whisker(whisker)),
+            (None, None) => Err(self.nameless()),
+        }
     }
 
-    /// A tracker of rows whose filters know the calibration's noise; none without a network.
-    pub fn row_tracker(&self, whisker: &str, vouched: bool, tare_s: f64) -> Option<RowTracker<'_>> {
+    fn nameless(&self) -> ContactError {
+        let place = self.place.display().to_string();
+        ContactError::value(place, "a calibration that says of which whisker it is", "an older one")
+    }
+
+    /// Its network, with filters that know the calibration's noise; none without one.
+    #[must_use]
+    pub fn estimator(&self, vouched: bool) -> Option<NetworkEstimator<'_>> {
         let Network { tracker, card } = self.network.as_ref()?;
         let filters = filters_for(tracker.filters, &self.file.model);
-        Some(RowTracker::new(whisker, (tracker, &card.training), filters, vouched, tare_s))
+        Some(NetworkEstimator::new((tracker, card), filters, vouched))
     }
 }
 
@@ -149,7 +146,7 @@ fn never_written(place: &Path) -> Option<String> {
 ///
 /// # Errors
 /// Where the file cannot be read, or was changed so that its content means nothing any more.
-pub fn calibration_issues(
+fn calibration_issues(
     place: &Path,
 ) -> Result<(CalibrationFile<CalibrationModel>, Vec<TrustIssue>), ContactError> {
     if let Some(why) = never_written(place) {
@@ -170,7 +167,7 @@ pub struct CheckedCalibration {
     name: String,
     place: PathBuf,
     file: CalibrationFile<CalibrationModel>,
-    card: Card,
+    card: Option<Card>,
     /// What speaks against them.
     pub doubts: TrustIssues,
 }
@@ -191,27 +188,42 @@ impl CheckedCalibration {
         &self.place
     }
 
-    /// With its model.
-    pub fn with(self, tracker: &Tracker) -> WhiskerModel<'_> {
-        let Self { name, place, file, card, doubts } = self;
-        WhiskerModel { name, place, file, network: Some(Network { tracker, card }), doubts }
+    /// Whether it says of which whisker it is; where not, a model is taken to fit.
+    #[must_use]
+    pub fn names_whisker(&self) -> bool {
+        self.file.whisker.is_some()
     }
 
-    /// Reads a calibration and judges it beside the model.
+    /// With its model, where it was read with the model's card.
+    #[must_use]
+    pub fn with(self, tracker: Option<&Tracker>) -> WhiskerModel<'_> {
+        let Self { name, place, file, card, doubts } = self;
+        let network = tracker.zip(card).map(|(tracker, card)| Network { tracker, card });
+        WhiskerModel { name, place, file, network, doubts }
+    }
+
+    /// Reads a calibration and judges it by itself and beside the model, where contacts come from one.
     ///
     /// # Errors
     /// Where the calibration cannot be read, or was changed so that its content means nothing any more.
-    pub fn read(name: &str, place: &Path, card: Card) -> Result<Self, ContactError> {
+    pub fn read(name: &str, place: &Path, card: Option<Card>) -> Result<Self, ContactError> {
         let (file, mut issues) = calibration_issues(place)?;
-        let differs = file.whisker.as_ref().and_then(|w| w.difference(&card.whisker));
+        let differs = file.whisker.as_ref().zip(card.as_ref()).and_then(|(w, c)| w.difference(&c.whisker));
         issues.extend(differs.map(TrustIssue::OtherWhisker));
         let doubts = TrustIssues(issues);
         Ok(Self { name: name.to_owned(), place: place.to_owned(), file, card, doubts })
     }
 
+    /// Judges the whisker of a session beside that of the calibration.
+    pub fn check_session(&mut self, whisker: &WhiskerSpec) {
+        let differs = self.file.whisker.as_ref().and_then(|w| w.difference(whisker));
+        self.doubts.0.extend(differs.map(TrustIssue::OtherSession));
+    }
+
     /// Judges the time between readings (s) by those that the network was trained with.
     pub fn check_step(&mut self, step_s: Option<f64>) {
-        let trained_s = trained_steps_s(self.card.training.time_factor);
+        let Some(card) = &self.card else { return };
+        let trained_s = trained_steps_s(card.training.time_factor);
         let [low, high] = trained_s;
         if let Some(found_s) = step_s.filter(|s| !(low..=high).contains(s)) {
             self.doubts.0.push(TrustIssue::SampleRate { trained_s, found_s });

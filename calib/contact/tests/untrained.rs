@@ -173,7 +173,7 @@ fn track((tracker, card): (&Tracker, &Card), rows: &[Row], vouched: bool, score:
         score.squares_mm2 += (Vector3::from(answer.point_mm.map(f64::from)) - touched_mm).norm_squared();
     }
     score.streams += 1;
-    score.noticed += usize::from(!judge.untrained().is_empty());
+    score.noticed += usize::from(judge.document().rows > 0);
     let mean = |w: &[f64]| w.iter().map(|v| v.max(-20.0)).sum::<f64>() / w.len() as f64;
     score.lowest.push(evidence.windows(8).map(mean).fold(f64::INFINITY, f64::min));
 }

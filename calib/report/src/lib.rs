@@ -21,7 +21,7 @@
 //! #     noise: None, flagged: vec![],
 //! #     alternatives: vec![], unknown: None, noise_floor: NoiseFloor::default(), before: None, after: None,
 //! #     coverage95: None, next_measurement: None, detectable: vec![], seed: 1, inputs: vec![], notes: vec![],
-//! #     leave_one_effect_out: vec![], identifiability: vec![], calibration: None, groove_tracking: None,
+//! #     leave_one_effect_out: vec![], identifiability: vec![], calibration: None, groove_tracking: None, sweep: None,
 //! #     witness: None, pictures: None };
 //! let input = wcal_report::ReportInput::new(verify, wcal_core::Provenance::default());
 //! let page = wcal_report::render(&input);

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use text::{predictions_csv, scalar_csv};
 use wcal_calibration::{
-    CalibrationModel, GivenCalibration, SessionSystem, WhiskerCalibration, provenance, seal,
+    CalibrationModel, GivenCalibration, SessionSystem, WhiskerCalibration, WireParts, provenance, seal,
 };
 use wcal_contact::session_groove;
 use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, VerifyDocument};
@@ -220,14 +220,16 @@ pub fn verify_session(
         _ => false,
     };
     if let Some(model) = model.filter(|_| verified) {
-        let whisker = match &session.data {
-            SessionData::Whisker(data) => Some(&data.whisker),
+        let contact = report.verify.groove_tracking.as_ref().and_then(session_groove::calibration_contact);
+        let wire = match &session.data {
+            SessionData::Whisker(data) => {
+                Some(WireParts { whisker: &data.whisker, moments: &data.moments, contact })
+            }
             _ => None,
         };
         let status = VerificationStatus::Verified;
-        let contact = report.verify.groove_tracking.as_ref().and_then(session_groove::calibration_contact);
         let expires = valid_until(*valid_days)?;
-        let file = seal(&session.id, status, expires, model, provenance, whisker, contact)?;
+        let file = seal(&session.id, status, expires, model, provenance, wire)?;
         out.put("calibration.json", serde_json::to_vec_pretty(&file)?);
     }
     if let (Some(given), Some(judged)) = (given, judged) {

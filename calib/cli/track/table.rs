@@ -9,7 +9,6 @@ use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
 use std::process::ExitCode;
 use wcal_contact::estimator::Estimator;
-use wcal_contact::frame::WireFrame;
 use wcal_contact::known_groove::KnownGroove;
 use wcal_contact::known_motion_table::KnownMotionTable;
 use wcal_contact::moments_alone::MomentsAlone;
@@ -22,7 +21,7 @@ use wcal_contact::trust::WhiskerModel;
 use wcal_contact::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
 use wcal_core::observation::MomentAxes;
 use wcal_core::verify_document::GrooveTracking;
-use wcal_core::{SessionData, WhiskerData, WhiskerRow};
+use wcal_core::{SessionData, WhiskerData, WhiskerRow, WireFrame};
 use wcal_trace::whisker::WhiskerSystem;
 
 /// Readings and what locates their contacts.

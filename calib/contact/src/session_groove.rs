@@ -20,7 +20,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::observation::MomentAxes;
 use wcal_core::stream::Flags;
 use wcal_core::verify_document::{CalibrationContact, ContactUncertainty, GrooveTracking};
-use wcal_core::{Role, WhiskerData, WhiskerRow};
+use wcal_core::{Role, WhiskerData, WhiskerRow, WireFrame};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, MovedReading};
 
@@ -112,6 +112,7 @@ pub struct Compared {
 /// A session whose contact was located.
 pub struct TrackedSession {
     field: MomentField,
+    frame: WireFrame,
     wire: AcceptedWire,
     /// Trajectories in the session's order.
     pub trajectories: Vec<TrackedTrajectory>,
@@ -126,6 +127,28 @@ pub fn moment_field(wire: &AcceptedWire, axes: &MomentAxes) -> MomentField {
     MomentField::new(&wire.rod, axes, friction)
 }
 
+/// The frame of a session's wire; the base's own where the clamp of an accepted wire yields, which is given about the base's axes.
+fn session_frame(
+    system: &WhiskerSystem,
+    wire: &AcceptedWire,
+    changed: &[AcceptedWire],
+) -> Result<WireFrame, ContactError> {
+    let yields = |w: &AcceptedWire| w.rod.compliance_rad_per_nmm != 0.0;
+    if yields(wire) || changed.iter().any(yields) {
+        return Ok(WireFrame::default());
+    }
+    WireFrame::new(&system.data.whisker, &system.data.moments)
+        .map_err(|e| ContactError::value(e.key, e.expected, e.found))
+}
+
+/// The moments of a wire of a session in a frame.
+fn turned_field(wire: &AcceptedWire, frame: &WireFrame, axes: &MomentAxes) -> MomentField {
+    match wire.rod.turned(&frame.rotation()).filter(|_| !frame.is_base()) {
+        Some(rod) => moment_field(&AcceptedWire { rod, ..wire.clone() }, &MomentAxes::default()),
+        None => moment_field(wire, axes),
+    }
+}
+
 /// Locates the contact on each trajectory; `chosen` tells which readings of the system's path are used.
 ///
 /// # Errors
@@ -138,7 +161,8 @@ pub fn track(
     let GrooveMotion { wire, changed, readings, correlated } = motion;
     let correlated = correlated
         .map(|[variance_share, time_constant_s]| CorrelatedShare { variance_share, time_constant_s });
-    let table = |wire: &AcceptedWire| moment_field(wire, &system.data.moments);
+    let frame = session_frame(system, &wire, &changed)?;
+    let table = |wire: &AcceptedWire| turned_field(wire, &frame, &system.data.moments);
     let field = table(&wire).with_changed(changed.iter().map(table).collect());
     let mut by_line: BTreeMap<usize, Vec<MovedReading>> = BTreeMap::new();
     for reading in readings.into_iter().filter(|r| chosen(r.reading)) {
@@ -146,14 +170,14 @@ pub fn track(
     }
     let located = |(line, readings): (usize, Vec<MovedReading>)| -> Result<TrackedTrajectory, ContactError> {
         let trajectory = &system.data.trajectories[line];
-        let direction = trajectory.direction;
+        let direction = frame.rotation() * trajectory.direction;
         let mut rows: Vec<MotionRow> = readings
             .iter()
             .map(|r| MotionRow {
                 t_s: r.t_s,
-                moment_nmm: r.moment_nmm,
-                noise_nmm2: r.noise_nmm2,
-                shared_nmm: r.shared_nmm.clone(),
+                moment_nmm: frame.moment(r.moment_nmm),
+                noise_nmm2: frame.covariance(&r.noise_nmm2),
+                shared_nmm: r.shared_nmm.iter().map(|h| frame.moment(*h)).collect(),
                 shared_way_mm: r.shared_way_mm.iter().map(|w| direction * *w).collect(),
                 moved_mm: direction * r.stage_mm,
                 velocity_mm_s: direction * r.velocity_mm_s,
@@ -171,14 +195,23 @@ pub fn track(
         Ok(TrackedTrajectory { id: trajectory.id, readings, found, episode })
     };
     let trajectories = by_line.into_par_iter().map(located).collect::<Result<Vec<_>, ContactError>>()?;
-    Ok(TrackedSession { field, wire, trajectories })
+    Ok(TrackedSession { field, frame, wire, trajectories })
 }
 
 impl TrackedSession {
     /// Place at a reading of the system's path, with the trajectory's disagreement.
     pub fn places(&self) -> BTreeMap<usize, (Place, Option<Disagreement>)> {
         let of = |t: &TrackedTrajectory| -> Vec<(usize, (Place, Option<Disagreement>))> {
-            let at = |(r, p): (&MovedReading, &Place)| (r.reading, (p.clone(), t.found.disagreement));
+            let back = self.frame.rotation().inverse();
+            let in_base = |p: &Place| match self.frame.is_base() {
+                true => p.clone(),
+                false => Place {
+                    place_mm: p.place_mm.map(|at| back * at),
+                    covariance_mm2: back * p.covariance_mm2 * back.inverse(),
+                    ..p.clone()
+                },
+            };
+            let at = |(r, p): (&MovedReading, &Place)| (r.reading, (in_base(p), t.found.disagreement));
             t.readings.iter().zip(&t.found.places).map(at).collect()
         };
         self.trajectories.iter().flat_map(of).collect()
@@ -206,6 +239,7 @@ impl TrackedSession {
                 }
                 let trajectory = &system.data.trajectories[reading.line];
                 let truth = groove + trajectory.direction * reading.added_mm + self.wire.offset_mm;
+                let truth = self.frame.rotation() * truth;
                 let Some(state) = path.state_of(&truth, k, trajectory.nominal_arclength_mm) else { continue };
                 if bound.is_none() {
                     let of = |episode| bound_mm(&self.field, episode, &settings, &state);

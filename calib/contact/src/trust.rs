@@ -1,14 +1,14 @@
 //! What speaks against tracking with a calibration and a model.
 
 use crate::ContactError;
-use crate::frame::WireFrame;
 use crate::network::NetworkEstimator;
 use std::path::{Path, PathBuf};
 use wcal_calibration::{
     CalibrationModel, TrustIssue, WhiskerCalibration, of_whisker, read_unsealed, standing,
 };
 use wcal_core::observation::MomentAxes;
-use wcal_core::{CalibrationFile, VerificationStatus, WhiskerSpec};
+use wcal_core::ranges::OutOfRange;
+use wcal_core::{CalibrationFile, CalibrationFrame, VerificationStatus, WhiskerSpec, WireFrame};
 use wcal_track::Tracker;
 use wcal_track::filter::FilterBank;
 use wcal_track::model_file::Card;
@@ -77,13 +77,13 @@ impl WhiskerModel<'_> {
         Ok(of_whisker(&self.place, &self.file)?)
     }
 
-    /// The frame of the wire; that of its moments is the default one.
+    /// The frame of the wire.
     ///
     /// # Errors
     /// Where the moments are not across the wire's root.
     pub fn frame(&self) -> Result<WireFrame, ContactError> {
         let own = self.file.whisker.as_ref().or(self.network.as_ref().map(|n| &n.card.whisker));
-        own.map_or_else(|| Err(self.nameless()), |whisker| WireFrame::new(whisker, &MomentAxes::default()))
+        frame_of(&self.file, own.ok_or_else(|| self.nameless())?, &self.place)
     }
 
     /// The whisker in that frame: the model's, else the calibration's.
@@ -110,6 +110,19 @@ impl WhiskerModel<'_> {
         let filters = filters_for(tracker.filters, &self.file.model);
         Some(NetworkEstimator::new((tracker, card), filters, vouched))
     }
+}
+
+/// The frame of a wire by what its calibration says of the session; older ones have moments about y and z.
+fn frame_of(
+    file: &CalibrationFile<CalibrationModel>,
+    whisker: &WhiskerSpec,
+    place: &Path,
+) -> Result<WireFrame, ContactError> {
+    let axes = file.frame.as_ref().map_or_else(MomentAxes::default, CalibrationFrame::moments);
+    WireFrame::new(whisker, &axes).map_err(|e: OutOfRange| {
+        let what = format!("{}: frame.{}", place.display(), e.key);
+        ContactError::value(what, e.expected, e.found)
+    })
 }
 
 /// Why `verify` wrote no calibration at this place; none where there is one, or no `verify.json` beside it.
@@ -208,7 +221,10 @@ impl CheckedCalibration {
     /// Where the calibration cannot be read, or was changed so that its content means nothing any more.
     pub fn read(name: &str, place: &Path, card: Option<Card>) -> Result<Self, ContactError> {
         let (file, mut issues) = calibration_issues(place)?;
-        let differs = file.whisker.as_ref().zip(card.as_ref()).and_then(|(w, c)| w.difference(&c.whisker));
+        // In the frame of the wire: a network knows one orientation.
+        let own = file.whisker.as_ref().map(|w| Ok::<_, ContactError>(frame_of(&file, w, place)?.whisker(w)));
+        let own = own.transpose()?;
+        let differs = own.as_ref().zip(card.as_ref()).and_then(|(w, c)| w.difference(&c.whisker));
         issues.extend(differs.map(TrustIssue::OtherWhisker));
         let doubts = TrustIssues(issues);
         Ok(Self { name: name.to_owned(), place: place.to_owned(), file, card, doubts })

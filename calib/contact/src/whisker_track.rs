@@ -7,12 +7,13 @@
 use crate::ContactError;
 use crate::contact_history::ContactHistory;
 use crate::estimator::{Contact, Estimator, Message};
-use crate::frame::WireFrame;
+use crate::frame::{in_base_frame, in_wire_frame};
 use crate::known_groove::KnownGroove;
 use crate::reading::{Moments, Reading};
 use crate::track_document::WhiskerDocument;
 use crate::track_table::TrackRow;
 use std::collections::VecDeque;
+use wcal_core::WireFrame;
 use wcal_core::stream::StreamMoments;
 use wcal_track::Tare;
 
@@ -90,7 +91,7 @@ impl<'a> WhiskerTrack<'a> {
         let t_s = reading.t_s;
         let zeroed = |m: Moments| Moments { moment_nmm: self.tare.zeroed(t_s, m.moment_nmm), ..m };
         let reading = Reading { moments: reading.moments.clone().map(zeroed), ..reading };
-        let contacts = self.estimator.push(&self.frame.reading(&reading))?;
+        let contacts = self.estimator.push(&in_wire_frame(&self.frame, &reading))?;
         let moments = reading.moments.as_ref().map(Moments::stated);
         self.pending.push_back(Pending { reading, moments });
         Ok(self.settle(contacts))
@@ -117,7 +118,7 @@ impl<'a> WhiskerTrack<'a> {
     fn row(&mut self, reading: Reading, moments: Option<StreamMoments>, contact: Contact) -> TrackRow {
         let Reading { point, t_s, base, base_mm_s, touching, .. } = reading;
         let Contact { estimate, regions, several, number, on_object, .. } = contact;
-        let estimate = estimate.map(|e| self.frame.to_base(e));
+        let estimate = estimate.map(|e| in_base_frame(&self.frame, e));
         if let (Some(groove), Some(estimate)) = (&mut self.groove, &estimate) {
             groove.push(t_s, estimate);
         }

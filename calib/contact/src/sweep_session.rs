@@ -45,8 +45,7 @@ impl SweepSession {
         let world_from_object = match of_object("world_from_object") {
             None => None,
             Some(value) => {
-                let numbers: Vec<f64> =
-                    value.as_array().into_iter().flatten().filter_map(number).collect();
+                let numbers: Vec<f64> = value.as_array().into_iter().flatten().filter_map(number).collect();
                 let pose = pose_of(&numbers).ok_or_else(|| {
                     let expected = "x, y, z (mm) and a unit quaternion qw, qx, qy, qz";
                     ContactError::value(at("object.world_from_object"), expected, value.to_string())

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use wcal_core::verify_document::{SweepExplanation, SweepJudgement, Verdict};
 use wcal_core::{InputFile, WhiskerData};
 use wcal_trace::method::hypothesis::Hypothesis;
-use wcal_trace::verify::{SessionModel, VerifyOptions};
+use wcal_trace::verify::VerifyOptions;
 use wcal_trace::whisker::{PhysicalModel, Verified, WhiskerVerification, verify_whisker};
 
 /// Searches: each leaves out what the ones before it had refuted.
@@ -32,7 +32,7 @@ pub fn verify_with_sweep(
             Verified::Done(done) => done,
             refused => return Ok(refused),
         };
-        let judge = |h: &Hypothesis| of_sweep(witness, &done, h, data, options.search.seed);
+        let judge = |h: &Hypothesis| of_sweep(witness, &done, h, data);
         // Every surviving explanation, and the declared model.
         let before = judge(&done.found.base)?;
         let open = if done.found.survivors.is_empty() {
@@ -73,10 +73,9 @@ fn of_sweep(
     done: &WhiskerVerification,
     h: &Hypothesis,
     data: &WhiskerData,
-    seed: u64,
 ) -> Result<SweepVerdict, ContactError> {
     let sd_pm = h.fit.readings_variance().sqrt() * done.whole.noise_factor();
-    witness.judge(&PhysicalModel::new(&done.whole, h, sd_pm), &data.whisker, seed)
+    witness.judge(&PhysicalModel::new(&done.whole, h, sd_pm), &data.whisker)
 }
 
 fn effects(done: &WhiskerVerification, h: &Hypothesis) -> Vec<String> {

@@ -11,21 +11,19 @@
 //! What is not known of calibration, zero and the object's place moves all gaps together:
 //!
 //! ```text
-//! d_k ~ g_k' (h_k c + z + e(m_k)) + nu_k' x,   g = dd/dm,   c ~ N(0, 1),   z ~ N(0, Z),   x ~ N(0, s_o^2 1)
+//! d_k = g_k' (h_k c + z + e(m_k)) + nu_k' x + f_k,   g = dd/dm,   c ~ N(0, 1),   z ~ N(0, Z),   x ~ N(0, s_o^2 1),   f ~ N(0, s_f^2)
 //! e ~ GP(0, R exp(-|m - m'|^2 / 2 l^2))        misfit of the calibration: alike for like moments, l the spacing of its poses
-//! T = median |d_k|,    p = (1 + #{T* >= T}) / (1 + draws)
+//! T = d' S^-1 d ~ chi^2(n)                     S: the covariance of d
 //! ```
 //!
-//! The median, because a wire that slips or lies on at two places breaks the model of one contact for a while, whatever the calibration. The
-//! sweep has its own zero: the readings before the free wire comes near the object.
+//! Readings count from first load to the largest one: the contact is that of first touch there. A wire that slips while the load falls may lie on
+//! elsewhere, or at two places. The sweep has its own zero: the readings before the free wire comes near the object.
 
 use crate::ContactError;
 use crate::motion_table;
 use crate::sweep_session::SweepSession;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix2, Vector2, Vector3};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
 use wcal_calibration::{SensedRow, WhiskerCalibration};
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_core::verify_document::SurfaceDistance;
@@ -53,7 +51,8 @@ const LOADED_SHARE: f64 = 0.02;
 const REACH_MM: f64 = 50.0;
 /// Step of the moments for gradients, N mm.
 const STEP_NMM: f64 = 0.02;
-const DRAWS: usize = 2000;
+/// What friction, the mesh and the model of one contact leave of a gap, mm.
+const CONTACT_SD_MM: f64 = 0.3;
 
 /// A sweep over a known object, ready to judge.
 pub struct SweepWitness {
@@ -75,7 +74,7 @@ pub struct SweepVerdict {
     pub gaps: Vec<(f64, f64)>,
     /// The same in numbers.
     pub distance: SurfaceDistance,
-    /// Probability of a median gap as large where the calibration is right within its uncertainty.
+    /// Probability of gaps as unlikely where the calibration is right within its uncertainty.
     pub p_value: f64,
 }
 
@@ -112,7 +111,11 @@ impl SweepWitness {
             return Err(ContactError::value(what("files.object"), "a mesh of the object", "none"));
         };
         let Some(world_from_object) = session.world_from_object else {
-            return Err(ContactError::value(what("object.world_from_object"), "the pose of the mesh", "none"));
+            return Err(ContactError::value(
+                what("object.world_from_object"),
+                "the pose of the mesh",
+                "none",
+            ));
         };
         let axes: &MomentAxes = &data.moments;
         let frame = WireFrame::new(&data.whisker, axes)
@@ -131,7 +134,6 @@ impl SweepWitness {
         &self,
         calibration: &dyn WhiskerCalibration,
         declared: &WhiskerSpec,
-        seed: u64,
     ) -> Result<SweepVerdict, ContactError> {
         let sensed = calibration.sensed(&self.session.points, declared)?;
         let rows = self.posed(&sensed.rows)?;
@@ -143,8 +145,11 @@ impl SweepWitness {
         let variance = scatter / (2.0 * (free - 1) as f64);
         let largest = rows.iter().map(|r| (moment(r) - zero).norm()).fold(0.0, f64::max);
         let loaded_nmm = (LOADED_SD * variance.sqrt()).max(LOADED_SHARE * largest);
+        let load = |r: &PosedRow<'_>| (moment(r) - zero).norm();
+        let peak =
+            (free..rows.len()).max_by(|a, b| load(&rows[*a]).total_cmp(&load(&rows[*b]))).unwrap_or(free);
         let touching: Vec<&PosedRow<'_>> =
-            rows[free..].iter().filter(|r| (moment(r) - zero).norm() > loaded_nmm).collect();
+            rows[free..=peak].iter().filter(|r| load(r) > loaded_nmm).collect();
         if touching.len() < MIN_SAMPLES {
             let found = format!("{} beyond {loaded_nmm:.3} N mm", touching.len());
             let expected = format!("{MIN_SAMPLES} loaded readings");
@@ -154,8 +159,11 @@ impl SweepWitness {
         let max_nmm = grid.max_nmm.max(1.05 * largest + STEP_NMM);
         let inverse = StaticInverse::new(&self.whisker, InverseGrid { max_nmm, ..grid })?;
         let moments: Vec<Vector2<f64>> = touching.iter().map(|r| moment(r) - zero).collect();
-        let gaps: Vec<Gap> =
-            touching.iter().zip(&moments).filter_map(|(r, m)| self.gap(&inverse, m, &r.world_from_base)).collect();
+        let gaps: Vec<Gap> = touching
+            .iter()
+            .zip(&moments)
+            .filter_map(|(r, m)| self.gap(&inverse, m, &r.world_from_base))
+            .collect();
         if gaps.len() < touching.len() {
             let found = format!("{} of {}", gaps.len(), touching.len());
             let expected = format!("an object within {REACH_MM} mm of the wire at every loaded reading");
@@ -163,13 +171,11 @@ impl SweepWitness {
         }
         let spacing_nmm = largest / (self.poses as f64).sqrt();
         let zero_nmm2 = Matrix2::identity() * (variance / free as f64);
-        let null = self.null(&touching, &moments, &gaps, zero_nmm2, spacing_nmm, seed);
-        let observed = median(gaps.iter().map(|g| g.d_mm.abs()).collect());
-        let reached = null.iter().filter(|t| **t >= observed).count();
+        let covariance = self.covariance(&touching, &moments, &gaps, zero_nmm2, spacing_nmm);
         Ok(SweepVerdict {
             distance: distance(&gaps),
             gaps: touching.iter().zip(&gaps).map(|(r, g)| (r.t_s, g.d_mm)).collect(),
-            p_value: (1 + reached) as f64 / (1 + null.len()) as f64,
+            p_value: p_value(&gaps, covariance),
         })
     }
 
@@ -180,7 +186,11 @@ impl SweepWitness {
         let mut posed = Vec::with_capacity(rows.len());
         for row in rows {
             let Some(t_s) = row.t_s else {
-                return Err(ContactError::value(format!("{place}: line {}: t_s", row.line), "a time", "none"));
+                return Err(ContactError::value(
+                    format!("{place}: line {}: t_s", row.line),
+                    "a time",
+                    "none",
+                ));
             };
             if let Ok(motion) = logged.log.at(t_s, &Vector3::zeros()) {
                 let world_from_base = crate::table_source::base_pose(&motion).world_from_base;
@@ -205,8 +215,13 @@ impl SweepWitness {
         let free = rows.iter().take_while(|r| clear(r)).count();
         if free < MIN_FREE {
             let place = self.session.points.display().to_string();
-            let expected = format!("{MIN_FREE} readings before the wire comes within {clear_mm:.1} mm of the object");
-            return Err(ContactError::value(place, expected, format!("{free}: the sweep has no zero of its own")));
+            let expected =
+                format!("{MIN_FREE} readings before the wire comes within {clear_mm:.1} mm of the object");
+            return Err(ContactError::value(
+                place,
+                expected,
+                format!("{free}: the sweep has no zero of its own"),
+            ));
         }
         Ok(free)
     }
@@ -217,7 +232,12 @@ impl SweepWitness {
     }
 
     /// Gap of a reading with its derivatives; none where the object is out of reach.
-    fn gap(&self, inverse: &StaticInverse, m: &Vector2<f64>, world_from_base: &Isometry3<f64>) -> Option<Gap> {
+    fn gap(
+        &self,
+        inverse: &StaticInverse,
+        m: &Vector2<f64>,
+        world_from_base: &Isometry3<f64>,
+    ) -> Option<Gap> {
         let to_object = self.world_from_object.inverse() * world_from_base;
         let mut solutions = Vec::new();
         let mut nearest = |m: Vector2<f64>| {
@@ -234,7 +254,11 @@ impl SweepWitness {
     }
 
     /// Distance from the surface where the curve comes nearest to a contact, and the outward normal there, frame of the object.
-    fn nearest(&self, solutions: &[InverseSolution], to_object: &Isometry3<f64>) -> Option<(f64, Vector3<f64>)> {
+    fn nearest(
+        &self,
+        solutions: &[InverseSolution],
+        to_object: &Isometry3<f64>,
+    ) -> Option<(f64, Vector3<f64>)> {
         let mut best: Option<(f64, f64, Vector3<f64>)> = None;
         for s in solutions.iter().filter(|s| s.reachable) {
             let at = to_object.transform_point(&self.to_base(&s.point_mm).into()).coords;
@@ -252,45 +276,48 @@ impl SweepWitness {
         best.map(|(_, d, normal)| (d, normal))
     }
 
-    /// Draws of the median gap where the calibration is right within its uncertainty.
-    fn null(
+    /// Covariance of the gaps where the calibration is right within its uncertainty, mm^2.
+    fn covariance(
         &self,
         rows: &[&PosedRow<'_>],
         moments: &[Vector2<f64>],
         gaps: &[Gap],
         zero_nmm2: Matrix2<f64>,
         spacing_nmm: f64,
-        seed: u64,
-    ) -> Vec<f64> {
+    ) -> DMatrix<f64> {
         let n = rows.len();
-        // Alike for like moments; the jitter keeps readings of one moment from making it singular.
-        let alike = DMatrix::from_fn(n, n, |i, j| {
-            let off = (moments[i] - moments[j]).norm() / spacing_nmm.max(1e-9);
-            (-0.5 * off * off).exp() + if i == j { 1e-6 } else { 0.0 }
-        });
-        let root = alike.cholesky().map_or_else(|| DMatrix::identity(n, n), |c| c.l());
-        let misfit = |r: &PosedRow<'_>| root2(&self.frame.covariance(&r.row.sensed.noise_nmm2));
-        let misfits: Vec<Matrix2<f64>> = rows.iter().map(|r| misfit(r)).collect();
-        let zero = root2(&zero_nmm2);
-        let shared = rows.first().map_or(0, |r| r.row.sensed.shared_nmm.len());
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
-        (0..DRAWS)
-            .map(|_| {
-                let c: Vec<f64> = (0..shared).map(|_| normal()).collect();
-                let z = zero * Vector2::from_fn(|_, _| normal());
-                let x = Vector3::from_fn(|_, _| normal()) * self.session.object_sd_mm;
-                let e = [0, 1].map(|_| &root * DVector::from_fn(n, |_, _| normal()));
-                let one = |i: usize| {
-                    let h = rows[i].row.sensed.shared_nmm.iter().zip(&c);
-                    let common: Vector2<f64> = h.map(|(h, c)| Vector2::from(self.frame.moment(*h)) * *c).sum();
-                    let off = common + z + misfits[i] * Vector2::new(e[0][i], e[1][i]);
-                    (gaps[i].by_moment.dot(&off) + gaps[i].normal.dot(&x)).abs()
-                };
-                median((0..n).map(one).collect())
+        let root = |i: usize| {
+            root2(&self.frame.covariance(&rows[i].row.sensed.noise_nmm2)).transpose() * gaps[i].by_moment
+        };
+        let misfit: Vec<Vector2<f64>> = (0..n).map(root).collect();
+        let shared: Vec<Vec<f64>> = (0..n)
+            .map(|i| {
+                let columns = rows[i].row.sensed.shared_nmm.iter();
+                columns.map(|h| gaps[i].by_moment.dot(&Vector2::from(self.frame.moment(*h)))).collect()
             })
-            .collect()
+            .collect();
+        let placed = self.session.object_sd_mm.powi(2);
+        DMatrix::from_fn(n, n, |i, j| {
+            let off = (moments[i] - moments[j]).norm() / spacing_nmm.max(1e-9);
+            let alike = (-0.5 * off * off).exp();
+            let common: f64 = shared[i].iter().zip(&shared[j]).map(|(a, b)| a * b).sum();
+            let zero = gaps[i].by_moment.dot(&(zero_nmm2 * gaps[j].by_moment));
+            let own = if i == j { CONTACT_SD_MM.powi(2) } else { 0.0 };
+            alike * misfit[i].dot(&misfit[j])
+                + common
+                + zero
+                + placed * gaps[i].normal.dot(&gaps[j].normal)
+                + own
+        })
     }
+}
+
+/// Probability of gaps as unlikely under their covariance.
+fn p_value(gaps: &[Gap], covariance: DMatrix<f64>) -> f64 {
+    let d = DVector::from_iterator(gaps.len(), gaps.iter().map(|g| g.d_mm));
+    let chi2 = ChiSquared::new(gaps.len() as f64).ok();
+    let squares = covariance.cholesky().map(|c| d.dot(&c.solve(&d)));
+    chi2.zip(squares).map_or(f64::NAN, |(chi2, squares)| chi2.sf(squares))
 }
 
 /// Root of a covariance; zero where it is none.

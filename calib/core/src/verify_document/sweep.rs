@@ -9,7 +9,7 @@ pub struct SurfaceDistance {
     pub distance_rmse_mm: f64,
     /// Mean, mm.
     pub distance_mean_mm: f64,
-    /// Median, mm; what `p_value` judges.
+    /// Median, mm.
     pub distance_median_mm: f64,
 }
 
@@ -23,7 +23,7 @@ pub struct SweepExplanation {
     pub distance: SurfaceDistance,
     /// Whether the sweep refutes it.
     pub refuted: bool,
-    /// Probability of a median as large where the calibration is right within its uncertainty.
+    /// Probability of distances as unlikely where the calibration is right within its uncertainty.
     pub p_value: f64,
 }
 
@@ -32,7 +32,7 @@ pub struct SweepExplanation {
 pub struct SweepJudgement {
     /// Identifier of the sweep.
     pub session: String,
-    /// Readings in contact.
+    /// Readings that judge: from first load to the largest.
     pub samples: usize,
     /// The declared model.
     pub before: SurfaceDistance,

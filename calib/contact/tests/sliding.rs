@@ -65,6 +65,7 @@ fn tracks(angle_deg: f64, seed: u64) -> Vec<Track> {
                 moment_nmm: [m.y + zero[0] + normal(NOISE_NMM), m.z + zero[1] + normal(NOISE_NMM)],
                 noise_nmm2: Matrix2::identity() * NOISE_NMM * NOISE_NMM,
                 shared_nmm: vec![[ZERO_NMM, 0.0], [0.0, ZERO_NMM]],
+                free_nmm2: None,
                 shared_way_mm: Vec::new(),
                 moved_mm: back * Vector3::z() * -s.travel_mm,
                 turn: Rotation3::identity(),

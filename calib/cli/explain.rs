@@ -173,6 +173,7 @@ fn column(kind: &str, need: Need) -> Option<&'static str> {
         }
         Need::Weight => Some("none; session.toml gives density_kg_m3 and the direction of gravity"),
         Need::Covariate => Some("a further covariate"),
+        Need::RestReadings => Some("a reading at rest (role rest, or no trajectory)"),
         Need::Pictures => Some("none; `[files] shapes` of session.toml names what the cameras saw"),
         Need::StraightArc => Some("none; session.toml gives straight_mm and arc_radius_mm"),
         Need::MovingPictures => Some("t_s, speed_mm_s above 0 and pictures taken while the stage moves"),

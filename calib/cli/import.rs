@@ -4,14 +4,13 @@ mod columns;
 mod description;
 mod sweep;
 
-pub use sweep::SweepFolder;
-
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::simulated::word;
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use wcal_contact::sweep_session::PLACED_SD_MM;
 use wcal_core::text::Encoding;
 use wcal_session::{Separator, SessionFiles, TextTableLayout, read_text_table, write_session};
 
@@ -27,8 +26,11 @@ use wcal_session::{Separator, SessionFiles, TextTableLayout, read_text_table, wr
   wcal import laser.csv --kind axis --commanded target_mm --error deviation_um --error-unit um --cycle run --out sessions/axis-y
   wcal import OPTIC.csv bottle_1_action.csv bottle_1.stl --kind whiskerfbg-sweep --out sessions/bottle-1
 
+  wcal import readings.csv --kind sweep --motion base.csv --object bottle.stl --object-pose 111.8,10.8,-22.5,1,0,0,0 --out sessions/bottle
+
+sweep: READINGS has t_s and the fbg columns; LOG has the poses of the base in the world (the base frame at the start of the sweep).
 whiskerfbg-sweep: the layout of the WhiskerFBG release. OPTIC has a row a sample at 2 kHz with fbg_2, fbg_6 (sensing) and fbg_4 (temperature) in
-nm; ACTION has ind (number of the sample) and py (place of the arm along the base's +z) in m; MESH is the object. Wavelengths go through the
+nm; ACTION has ind (number of the sample) and py (place of the arm along +x of the release's frame) in m; MESH is the object. Wavelengths go through the
 release's filter (mean of the last 300 samples, zero on samples 1500 to 1700). `wcal track SESSION --model M` then states how far the contacts
 lie from the mesh.")]
 pub struct ImportArgs {
@@ -49,8 +51,17 @@ pub struct ImportArgs {
     /// Identifier of the session [default: the folder's name]
     #[arg(long)]
     pub id: Option<String>,
-    /// Where the mesh of a whiskerfbg-sweep lies in the frame in which the arm moves the base along +z: place (mm) and unit quaternion;
-    /// without it the contacts are placed on the mesh by themselves
+    /// Log of the base's poses, or of the object's way (sweep): CSV with t_s and base_x_mm .. base_z_mm, or object_x_mm ..
+    #[arg(long, value_name = "LOG", required_if_eq("kind", "sweep"))]
+    pub motion: Option<PathBuf>,
+    /// Mesh of the object (sweep)
+    #[arg(long, value_name = "STL")]
+    pub object: Option<PathBuf>,
+    /// Standard deviation of the object's place in each coordinate, mm
+    #[arg(long, value_name = "MM", default_value_t = PLACED_SD_MM)]
+    pub object_sd_mm: f64,
+    /// Where the mesh of a sweep lies in the frame of the base's poses (the base frame at the start of the sweep): place (mm) and unit
+    /// quaternion; without it the contacts are placed on the mesh by themselves
     #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", value_delimiter = ',', allow_hyphen_values = true)]
     pub object_pose: Option<Vec<f64>>,
     /// Surrounding medium
@@ -158,6 +169,8 @@ pub enum Kind {
     Axis,
     /// Whisker pressed by a V-groove.
     Whisker,
+    /// Whisker passing an object along a known motion.
+    Sweep,
     /// Sweep over an object in the layout of the WhiskerFBG release.
     WhiskerfbgSweep,
 }
@@ -241,7 +254,7 @@ const RESULT: ResultKind<'_> = ResultKind {
 /// # Errors
 /// Where the table or the resulting session cannot be used; nothing is written then.
 pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
-    if args.kind == Kind::WhiskerfbgSweep {
+    if matches!(args.kind, Kind::Sweep | Kind::WhiskerfbgSweep) {
         return sweep::run(args);
     }
     if let Some(more) = args.more.first() {

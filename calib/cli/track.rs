@@ -10,7 +10,6 @@ mod table;
 
 pub use wcal_contact::trust::filters_for;
 
-use crate::import::SweepFolder;
 use crate::train::burn_device;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
@@ -22,6 +21,7 @@ use wcal_acquisition::rig::Rig;
 use wcal_calibration::CalibrationModel;
 use wcal_contact::known_motion_stream::MotionAccuracy;
 use wcal_contact::session_groove::contact_sentence;
+use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::median_step_s;
 use wcal_contact::trust::{CheckedCalibration, WhiskerModel};
 use wcal_core::CalibrationFile;
@@ -322,7 +322,7 @@ fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
     let (source, own_rig) = match &args.source {
         None => (Source::Interrogator, None),
         Some(path) if path.is_dir() => {
-            if let Some(sweep) = SweepFolder::of(path) {
+            if let Some(sweep) = SweepSession::of(path)? {
                 return Ok((Source::Table(sweep.points), None));
             }
             if args.model.is_empty() && path.join("session.toml").is_file() {

@@ -10,14 +10,18 @@ use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
 use crate::simulated::{is_simulated, mark_table};
 use crate::unseal_record::UnsealRecord;
+use anyhow::{Context, bail};
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use text::{predictions_csv, scalar_csv};
 use wcal_calibration::{
     CalibrationModel, GivenCalibration, SessionSystem, WhiskerCalibration, WireParts, provenance, seal,
 };
 use wcal_contact::session_groove;
+use wcal_contact::sweep_session::SweepSession;
+use wcal_contact::sweep_verify::verify_with_sweep;
+use wcal_contact::sweep_witness::SweepWitness;
 use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, VerifyDocument};
 use wcal_core::{Provenance, SessionData, Unsealing, VerificationStatus, WhiskerData};
 use wcal_report::{Page, ReportInput};
@@ -54,6 +58,9 @@ pub struct VerifyArgs {
     /// A calibration to judge on readings that were not in its fit: the holdout, or the whole session where it is another one. Where it does not hold, a copy with status "failed" is written as judged-calibration.json
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
+    /// A sweep of the same whisker over an object that is known (`wcal import --kind sweep`): explanations that it refutes are left out (kind whisker)
+    #[arg(long, value_name = "SWEEP")]
+    pub sweep: Option<PathBuf>,
     /// Days for which the calibration written is valid (`expires`); `predict` and `track` refuse it afterwards
     #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..36_500))]
     pub valid_days: Option<u32>,
@@ -106,7 +113,13 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     let given = args.calibration.as_deref().map(|path| GivenCalibration::read(path, &session)).transpose()?;
     let progress = crate::progress::Progress::new(&format!("verify {}", session.id));
     progress.hear_search();
-    let order = VerifyOrder { seed: args.seed, accept: &args.accept, given, valid_days: args.valid_days };
+    let order = VerifyOrder {
+        seed: args.seed,
+        accept: &args.accept,
+        given,
+        sweep: args.sweep.as_deref(),
+        valid_days: args.valid_days,
+    };
     let done = verify_session(&session, &mut out, &order)?;
     out.finish()?;
     drop(progress);
@@ -170,6 +183,8 @@ pub struct VerifyOrder<'a> {
     pub accept: &'a [String],
     /// A calibration to be judged.
     pub given: Option<GivenCalibration>,
+    /// Folder of a sweep that judges the explanations.
+    pub sweep: Option<&'a Path>,
     /// Days for which a calibration is valid.
     pub valid_days: Option<u32>,
 }
@@ -180,7 +195,7 @@ pub fn verify_session(
     out: &mut OutputFolder<'_>,
     order: &VerifyOrder<'_>,
 ) -> anyhow::Result<ReportInput> {
-    let VerifyOrder { seed, accept, given, valid_days } = order;
+    let VerifyOrder { seed, accept, given, sweep, valid_days } = order;
     let (seed, accept) = (*seed, *accept);
     let provenance = provenance(session, seed);
     let record = UnsealRecord::read(session, out.folder())?;
@@ -192,7 +207,17 @@ pub fn verify_session(
     };
     let Outcome { mut report, predictions, model, unsealing, judged } = match &session.data {
         SessionData::Whisker(data) => {
-            of_whisker_session(session, data, &options, given.as_ref(), provenance.clone())?
+            let witness = sweep.map(|folder| witness(folder, data)).transpose()?;
+            of_whisker_session(
+                session,
+                data,
+                &options,
+                (given.as_ref(), witness.as_ref()),
+                provenance.clone(),
+            )?
+        }
+        _ if sweep.is_some() => {
+            bail!("--sweep: expected a session of kind whisker, found {:?}", session.data.kind())
         }
         SessionData::Transducer(data) => of_scalar_session(
             session,
@@ -247,10 +272,14 @@ fn of_whisker_session(
     session: &LoadedSession,
     data: &WhiskerData,
     options: &VerifyOptions,
-    given: Option<&GivenCalibration>,
+    (given, witness): (Option<&GivenCalibration>, Option<&SweepWitness>),
     provenance: Provenance,
 ) -> anyhow::Result<Outcome> {
-    Ok(match verify_whisker(&session.id, data, &session.inputs, options)? {
+    let verified = match witness {
+        Some(witness) => verify_with_sweep(&session.id, data, &session.inputs, options, witness)?,
+        None => verify_whisker(&session.id, data, &session.inputs, options)?,
+    };
+    Ok(match verified {
         Verified::Refused(document) => Outcome {
             report: of_document(session, *document, provenance),
             predictions: None,
@@ -272,6 +301,13 @@ fn of_whisker_session(
             },
         },
     })
+}
+
+/// The sweep in a folder as a witness of a session's whisker.
+fn witness(folder: &Path, data: &WhiskerData) -> anyhow::Result<SweepWitness> {
+    let sweep = SweepSession::of(folder)?
+        .with_context(|| format!("--sweep {}: expected a session of kind sweep", folder.display()))?;
+    Ok(SweepWitness::new(sweep, data)?)
 }
 
 /// The tracker on the groove, with the accepted calibration: on the sealed readings where there are any. None where the verdict accepts no

@@ -1,8 +1,8 @@
 //! Sweeps of the virtual bench in the sweep's own process, and what `verify` says of them (SIMULATED). The bench's time passes only while the
 //! sweep waits, so a scenario and its seed give the same session on every computer, in seconds.
 
-use serde_json::Value;
 use crate::support::{program, repository};
+use serde_json::Value;
 use std::path::Path;
 
 /// A folder with the rig of the virtual bench without cameras, at 500 Hz.

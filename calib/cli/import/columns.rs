@@ -92,7 +92,7 @@ pub(super) fn left_out(args: &ImportArgs, table: &TextTable) -> anyhow::Result<V
 pub(super) fn way_in(kind: Kind) -> &'static str {
     match kind {
         Kind::Transducer => "--covariate COLUMN takes one of numbers as what else may matter",
-        Kind::Axis | Kind::Whisker | Kind::WhiskerfbgSweep => {
+        Kind::Axis | Kind::Whisker | Kind::Sweep | Kind::WhiskerfbgSweep => {
             "--map NAME=COLUMN takes one under its name in the session"
         }
     }

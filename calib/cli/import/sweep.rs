@@ -1,50 +1,103 @@
-//! A sweep over an object in the layout of the WhiskerFBG release becomes a folder that `wcal track` takes.
+//! A sweep over an object becomes a session of kind "sweep": readings with the poses of the base, and the object where it is known.
 
-use super::{ImportArgs, RESULT, description};
+use super::{ImportArgs, Kind, RESULT, description, layout};
 use crate::output::OutputFolder;
 use crate::simulated::{is_simulated, word};
-use anyhow::{Context, bail};
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use anyhow::{Context, bail, ensure};
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 use toml::{Table, Value};
-use wcal_session::{SESSION_FORMAT, TextTableLayout, read_text_table, released_sweep};
+use wcal_contact::motion_table;
+use wcal_contact::sweep_session::{KIND, pose_of};
+use wcal_contact::table_source::base_pose;
+use wcal_session::{SESSION_FORMAT, TextTable, TextTableLayout, read_text_table, released_sweep};
 use wcal_sim::Mesh;
 
-/// Name of the object's mesh in the folder, and the kind of its description.
+/// Name of the object's mesh in the folder.
 pub const OBJECT: &str = "object.stl";
-const KIND: &str = "sweep";
+const POSES: &str = "base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz";
 
-/// Files of an imported sweep.
-pub struct SweepFolder {
-    /// Readings with the poses of the base.
-    pub points: PathBuf,
-    /// Mesh of the object.
-    pub object: PathBuf,
-    /// Where the mesh lies in the frame of those poses, where it is known.
-    pub world_from_object: Option<Isometry3<f64>>,
+/// What a sweep is made of.
+struct Sweep<'a> {
+    /// points.csv.
+    points: String,
+    rows: usize,
+    object: Option<&'a Path>,
+    sources: Vec<TextTable>,
+    /// Columns that are not taken over.
+    left_out: Vec<String>,
+    /// Readings at whose time the log tells nothing.
+    without_pose: usize,
 }
 
-impl SweepFolder {
-    /// Of a folder; none where it is something else.
-    pub fn of(folder: &Path) -> Option<Self> {
-        let session: Table = wcal_core::files::read_text(folder.join("session.toml")).ok()?.parse().ok()?;
-        let file = |key: &str| Some(folder.join(session.get("files")?.get(key)?.as_str()?));
-        let pose = session.get("object").and_then(|o| o.get("world_from_object")).and_then(Value::as_array);
-        let numbers = pose.map(|p| p.iter().filter_map(Value::as_float).collect::<Vec<_>>());
-        let world_from_object = numbers.as_deref().and_then(pose_of);
-        let is_sweep = session.get("kind")?.as_str()? == KIND;
-        is_sweep.then_some(Self { points: file("points")?, object: file("object")?, world_from_object })
+/// Readings in the layout of the WhiskerFBG release, along the arm's way.
+fn of_release(args: &ImportArgs) -> anyhow::Result<Sweep<'_>> {
+    let [action, mesh] = &args.more[..] else {
+        bail!(
+            "--kind whiskerfbg-sweep: expected OPTIC.csv ACTION.csv MESH.stl, found {} files",
+            1 + args.more.len()
+        );
+    };
+    let plain = TextTableLayout::default();
+    let (optic, action) = (read_text_table(&args.file, &plain)?, read_text_table(action, &plain)?);
+    let readings = released_sweep(&optic, &action)?;
+    let mut points = format!("point,t_s,fbg_1_shift_nm,fbg_2_shift_nm,{POSES}\n");
+    for (k, r) in readings.iter().enumerate() {
+        let [a, b] = r.shift_nm;
+        // In the frame of the release the arm goes along +x.
+        writeln!(points, "{k},{:.6},{a:.9},{b:.9},{:.6},0,0,1,0,0,0", r.t_s, r.way_mm)?;
     }
+    let (rows, sources) = (readings.len(), vec![optic, action]);
+    Ok(Sweep { points, rows, object: Some(mesh), sources, left_out: Vec::new(), without_pose: 0 })
 }
 
-/// A place and a unit quaternion as a pose; none where they are none.
-fn pose_of(numbers: &[f64]) -> Option<Isometry3<f64>> {
-    let [x, y, z, w, i, j, k] = *numbers else { return None };
-    let turn = Quaternion::new(w, i, j, k);
-    let sound = (turn.norm() - 1.0).abs() < 1e-3 && numbers.iter().all(|v| v.is_finite());
-    sound.then(|| Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::new_normalize(turn)))
+/// A table of readings with the poses of the base from a log.
+fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep<'_>> {
+    let motion = args.motion.as_deref().context("--kind sweep: expected --motion LOG.csv, found none")?;
+    let table = read_text_table(&args.file, &layout(args))?;
+    let logged = motion_table::read(motion, 0.0)?;
+    let taken = |name: &str| name.starts_with("fbg_") && name.ends_with("_nm") || name == "temperature_degc";
+    let time = table.column("t_s")?;
+    let (columns, others): (Vec<usize>, Vec<usize>) =
+        (0..table.columns.len()).partition(|c| taken(&table.columns[*c]));
+    let known = |c: &usize| *c == time || matches!(table.columns[*c].as_str(), "point" | "k");
+    let left_out = others.iter().filter(|c| !known(c)).map(|c| table.columns[*c].clone()).collect();
+    ensure!(
+        !columns.is_empty(),
+        "{}: expected columns fbg_..._nm, found {}",
+        table.file,
+        table.columns.join(", ")
+    );
+    let names: Vec<&str> = columns.iter().map(|c| table.columns[*c].as_str()).collect();
+    let mut points = format!("point,t_s,{},{POSES}\n", names.join(","));
+    let mut without_pose = 0;
+    for (k, (line, cells)) in table.rows.iter().enumerate() {
+        let t_s = table
+            .number(k, time)?
+            .with_context(|| format!("{}: line {line}: t_s: expected a time, found none", table.file))?;
+        let values: Vec<&str> = columns.iter().map(|c| cells[*c].as_str()).collect();
+        write!(points, "{k},{t_s},{},", values.join(","))?;
+        match logged.log.at(t_s, &nalgebra::Vector3::zeros()) {
+            Ok(motion) => {
+                let pose = base_pose(&motion).world_from_base;
+                let (t, q) = (pose.translation.vector, pose.rotation);
+                writeln!(points, "{:.6},{:.6},{:.6},{},{},{},{}", t.x, t.y, t.z, q.w, q.i, q.j, q.k)?;
+            }
+            Err(_) => {
+                without_pose += 1;
+                points += ",,,,,,\n";
+            }
+        }
+    }
+    ensure!(
+        without_pose < table.rows.len(),
+        "{}: expected the times of {} (clocks that agree), found none of its readings in the log",
+        motion.display(),
+        table.file
+    );
+    let rows = table.rows.len();
+    Ok(Sweep { points, rows, object: args.object.as_deref(), sources: vec![table], left_out, without_pose })
 }
 
 /// Writes the folder.
@@ -52,25 +105,17 @@ fn pose_of(numbers: &[f64]) -> Option<Isometry3<f64>> {
 /// # Errors
 /// Where a file cannot be used, by line and column; nothing is written then.
 pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
-    let [action, mesh] = &args.more[..] else {
-        bail!(
-            "--kind whiskerfbg-sweep: expected OPTIC.csv ACTION.csv MESH.stl, found {} files",
-            1 + args.more.len()
-        );
-    };
-    let layout = TextTableLayout::default();
-    let (optic, action) = (read_text_table(&args.file, &layout)?, read_text_table(action, &layout)?);
-    let readings = released_sweep(&optic, &action)?;
-    let object = Mesh::read(mesh)?;
+    let sweep = if args.kind == Kind::Sweep { of_tables(args)? } else { of_release(args)? };
+    let object = sweep.object.map(|mesh| Ok::<_, anyhow::Error>((mesh, Mesh::read(mesh)?))).transpose()?;
     if let Some(pose) = args.object_pose.as_ref().filter(|p| pose_of(p).is_none()) {
         bail!("--object-pose: expected x,y,z (mm) and a unit quaternion qw,qx,qy,qz, found {pose:?}");
     }
-    let mut points = "point,t_s,fbg_1_shift_nm,fbg_2_shift_nm,base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz\n".to_owned();
-    for (k, r) in readings.iter().enumerate() {
-        let [a, b] = r.shift_nm;
-        // In the frame of the release the arm goes along +x.
-        writeln!(points, "{k},{:.6},{a:.9},{b:.9},{:.6},0,0,1,0,0,0", r.t_s, r.way_mm)?;
-    }
+    let sd_mm = args.object_sd_mm;
+    ensure!((0.0..=100.0).contains(&sd_mm), "--object-sd-mm: expected 0 to 100 mm, found {sd_mm}");
+    ensure!(
+        object.is_some() || args.object_pose.is_none(),
+        "--object-pose: expected --object MESH.stl with it, found none"
+    );
 
     let folder = args.out.file_name().map(|n| n.to_string_lossy().into_owned());
     let id = args.id.clone().or(folder).context("--out: expected the name of a new folder")?;
@@ -85,13 +130,17 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     .chain([("created", text(&description::created()?))])
     .map(|(key, value)| (key.to_owned(), value))
     .collect();
-    let files = [("points", text("points.csv")), ("object", text(OBJECT))].map(|(k, v)| (k.to_owned(), v));
-    top.insert("files".to_owned(), Value::Table(files.into_iter().collect()));
-    if let Some(pose) = &args.object_pose {
-        let object = [("world_from_object".to_owned(), Value::from(pose.clone()))];
-        top.insert("object".to_owned(), Value::Table(object.into_iter().collect()));
+    let mut files: Table = [("points".to_owned(), text("points.csv"))].into_iter().collect();
+    if object.is_some() {
+        files.insert("object".to_owned(), text(OBJECT));
     }
-    let mut provenance = description::provenance(&[&optic, &action]);
+    top.insert("files".to_owned(), Value::Table(files));
+    if let Some(pose) = &args.object_pose {
+        let place = [("world_from_object", Value::from(pose.clone())), ("sd_mm", Value::from(sd_mm))];
+        let place = place.map(|(k, v)| (k.to_owned(), v)).into_iter().collect();
+        top.insert("object".to_owned(), Value::Table(place));
+    }
+    let mut provenance = description::provenance(&sweep.sources.iter().collect::<Vec<_>>());
     let simulated = args.simulated || is_simulated(&args.file);
     if simulated {
         provenance.insert("simulated".to_owned(), Value::Boolean(true));
@@ -99,19 +148,34 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     top.insert("provenance".to_owned(), Value::Table(provenance));
 
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
-    out.put("points.csv", points);
-    out.put(OBJECT, wcal_core::files::read(mesh).with_context(|| format!("reading {}", mesh.display()))?);
+    out.put("points.csv", sweep.points);
+    if let Some((mesh, _)) = &object {
+        out.put(OBJECT, wcal_core::files::read(mesh).with_context(|| format!("reading {}", mesh.display()))?);
+    }
     out.put("session.toml", toml::to_string(&top)?);
     out.finish()?;
-    for note in &object.notes {
+    for (mesh, note) in object.iter().flat_map(|(mesh, read)| read.notes.iter().map(move |n| (mesh, n))) {
         eprintln!("{}: {note}", mesh.display());
+    }
+    if !sweep.left_out.is_empty() {
+        eprintln!("columns not imported: {}", sweep.left_out.join(", "));
+    }
+    let mut warnings = Vec::new();
+    if sweep.without_pose > 0 {
+        warnings.push(format!(
+            "the motion of {} of {} readings is not known: the log does not cover their times",
+            sweep.without_pose, sweep.rows
+        ));
     }
     if args.json {
         let document = serde_json::json!({ "format": "wcal-import/1", "session": id, "kind": KIND, "folder": args.out,
-            "simulated": simulated, "rows": readings.len(), "holdout_rows": 0, "warnings": [], "inputs": [] });
+            "simulated": simulated, "rows": sweep.rows, "holdout_rows": 0, "columns_left_out": sweep.left_out, "warnings": warnings, "inputs": [] });
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
-        println!("{}: {} rows, sweep {id:?}{}", args.out.display(), readings.len(), word(simulated));
+        println!("{}: {} rows, sweep {id:?}{}", args.out.display(), sweep.rows, word(simulated));
     }
-    Ok(ExitCode::SUCCESS)
+    for warning in &warnings {
+        eprintln!("warning: {warning}");
+    }
+    Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
 }

@@ -1,10 +1,10 @@
 //! How far contacts lie from the object of an imported sweep.
 
-use crate::import::SweepFolder;
 use anyhow::Result;
 use nalgebra::Vector3;
 use std::path::Path;
 use wcal_contact::mesh_score::{MeshScore, mesh_score};
+use wcal_contact::sweep_session::SweepSession;
 use wcal_sim::Mesh;
 
 /// Score of contact points in the frame of the base's poses, mm; none for a table of another kind, or with too few.
@@ -12,8 +12,11 @@ use wcal_sim::Mesh;
 /// # Errors
 /// Where the mesh cannot be read.
 pub fn object_score(table: &Path, contacts_mm: &[Vector3<f64>]) -> Result<Option<MeshScore>> {
-    let Some(sweep) = table.parent().and_then(SweepFolder::of) else { return Ok(None) };
-    Ok(mesh_score(contacts_mm, &Mesh::read(&sweep.object)?, sweep.world_from_object))
+    let sweep = table.parent().map(SweepSession::of).transpose()?.flatten();
+    let Some((object, pose)) = sweep.and_then(|s| Some((s.object?, s.world_from_object))) else {
+        return Ok(None);
+    };
+    Ok(mesh_score(contacts_mm, &Mesh::read(&object)?, pose))
 }
 
 /// The same for people.

@@ -3,7 +3,6 @@
 use super::object::{object_score, say_object_score};
 use super::surface::write_surface;
 use super::{TrackArgs, accuracy, output, refuse_surface};
-use crate::import::SweepFolder;
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
@@ -15,6 +14,7 @@ use wcal_contact::moments_alone::MomentsAlone;
 use wcal_contact::motion_table::{LoggedMotion, has_motion, read};
 use wcal_contact::reading::Reading;
 use wcal_contact::session_groove::{moment_field, session_readings, without_groove};
+use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::TableSource;
 use wcal_contact::track_document::{LogDocument, TRACK_FORMAT, TableDocument, TrackDocument, TrackSource};
 use wcal_contact::trust::WhiskerModel;
@@ -149,7 +149,7 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
         .with_changed(source.changed.iter().map(|w| moment_field(w, &axes)).collect());
     let mut readings = source.along(&logged, &(base_from_wire * field.free(0.5 * field.length_mm()).0));
     let tare_s = zero_span_s(args, path, &mut readings, has_misfit);
-    let over_object = path.parent().and_then(SweepFolder::of).is_some();
+    let over_object = path.parent().map(SweepSession::of).transpose()?.flatten().is_some();
     let estimator = KnownMotionTable::new(field, &whisker, accuracy(args), over_object);
     Ok(prepared(readings, Box::new(estimator), (false, tare_s), Some(log_document(args, file, &logged))))
 }

@@ -130,6 +130,21 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     if let Some(tracked) = &v.groove_tracking {
         println!("  {}", groove_sentence(tracked));
     }
+    if let Some(sweep) = &v.sweep {
+        println!(
+            "  sweep {}: distance of the nearest possible contact from the object, {} readings",
+            sweep.session, sweep.samples
+        );
+        for e in &sweep.explanations {
+            let name =
+                if e.effects.is_empty() { "declared model".to_owned() } else { e.effects.join(" with ") };
+            let (d, refuted) = (&e.distance, if e.refuted { "REFUTED" } else { "" });
+            println!(
+                "    {name:<44} median {:.2} mm, rms {:.2} mm, p = {:.1e} {refuted}",
+                d.distance_median_mm, d.distance_rmse_mm, e.p_value
+            );
+        }
+    }
     for sentence in &v.identifiability {
         println!("  {sentence}");
     }

@@ -12,6 +12,12 @@ pub enum ContactError {
     /// A calibration that cannot be used.
     #[error(transparent)]
     Calibration(#[from] CalibrationError),
+    /// A session that cannot be explained.
+    #[error(transparent)]
+    Trace(#[from] wcal_trace::TraceError),
+    /// A mesh that cannot be used.
+    #[error(transparent)]
+    Mesh(#[from] wcal_sim::SimError),
     /// A table that cannot be read.
     #[error(transparent)]
     Table(#[from] SessionError),

@@ -195,7 +195,8 @@ fn row_motion(m: Motion) -> RowMotion {
 }
 
 /// Pose of the base where the object's frame is the world's.
-fn base_pose(motion: &Motion) -> BasePose {
+#[must_use]
+pub fn base_pose(motion: &Motion) -> BasePose {
     let back: Rotation3<f64> = motion.turn.inverse();
     let place = Translation3::from(back * -motion.moved_mm);
     let world_from_base = Isometry3::from_parts(place, UnitQuaternion::from_rotation_matrix(&back));

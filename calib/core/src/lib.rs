@@ -35,5 +35,5 @@ pub use observation::{
 };
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;
-pub use wire_frame::WireFrame;
 pub use sealed::{Labelled, RowLabel, Seal, Sealed, Unsealing};
+pub use wire_frame::WireFrame;

@@ -3,6 +3,7 @@
 mod errors;
 mod findings;
 mod noise;
+mod sweep;
 
 use crate::provenance::InputFile;
 use serde::{Deserialize, Serialize};
@@ -16,6 +17,7 @@ pub use findings::{
     UnknownEffect,
 };
 pub use noise::{CorrelatedNoise, FlaggedReading, NoiseDocument, NoiseFloor, NoiseLaw, NoisePart};
+pub use sweep::{SurfaceDistance, SweepExplanation, SweepJudgement};
 
 /// Format tag of `verify.json`.
 pub const VERIFY_FORMAT: &str = "wcal-verify/1";
@@ -102,6 +104,9 @@ pub struct VerifyDocument {
     /// Where the tracker puts the groove through the accepted calibration (kind whisker).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub groove_tracking: Option<GrooveTracking>,
+    /// What a sweep over a known object says of the explanations (`--sweep`, kind whisker).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sweep: Option<SweepJudgement>,
     /// Which witness decided for the accepted effects, by the gain that each gives: `wavelengths`, `pictures` or `both`; absent without
     /// pictures or effects.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -147,6 +152,7 @@ impl VerifyDocument {
             identifiability: Vec::new(),
             calibration: None,
             groove_tracking: None,
+            sweep: None,
             witness: None,
             pictures: None,
         }

@@ -57,6 +57,8 @@ pub enum Need {
     MovingPictures,
     /// A wire that is declared as a straight part and an arc.
     StraightArc,
+    /// Readings at rest beside loaded ones.
+    RestReadings,
 }
 
 /// One law by which an effect can act.

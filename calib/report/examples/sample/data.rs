@@ -165,6 +165,7 @@ pub fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDocument {
         identifiability: vec![],
         calibration: None,
         groove_tracking: None,
+        sweep: None,
         witness: None,
         pictures: None,
     }

@@ -10,6 +10,8 @@ pub struct VerifyOptions {
     pub search: Options,
     /// Effects of a surviving explanation to be accepted; empty leaves the choice to the verdict.
     pub accept: Vec<String>,
+    /// Effects that another measurement of the instrument refutes: they are not searched for.
+    pub refuted: Vec<String>,
     /// Permutations of the test of the spread.
     pub permutations: usize,
     /// What is known of the sealed files.
@@ -18,6 +20,12 @@ pub struct VerifyOptions {
 
 impl Default for VerifyOptions {
     fn default() -> Self {
-        Self { search: Options::default(), accept: Vec::new(), permutations: 4999, seal: Seal::default() }
+        Self {
+            search: Options::default(),
+            accept: Vec::new(),
+            refuted: Vec::new(),
+            permutations: 4999,
+            seal: Seal::default(),
+        }
     }
 }

@@ -35,7 +35,7 @@ fn unmet(need: Need, frame: &Frame) -> Option<&'static str> {
             let none = frame.covariates.iter().all(Option::is_none);
             none.then_some("the table has no further covariate that varies")
         }
-        Need::Motion | Need::MovingBase | Need::Weight | Need::Pictures | Need::MovingPictures | Need::StraightArc => None,
+        Need::Motion | Need::MovingBase | Need::Weight | Need::Pictures | Need::MovingPictures | Need::StraightArc | Need::RestReadings => None,
     }
 }
 

@@ -41,6 +41,7 @@ pub struct WhiskerSystem {
     pub(super) pictures: Option<Arc<Pictures>>,
     pub(super) picture_scale: f64,
     stage_clock_s: f64,
+    refuted: Arc<[String]>,
 }
 
 /// Rate of the temperature at each reading, deg C/s, over the readings on both sides of it.
@@ -103,6 +104,13 @@ impl WhiskerSystem {
             self.whitening,
         )
         .with_stage_clock(self.stage_clock_s)
+        .without(&self.refuted)
+    }
+
+    /// The same system without effects that another measurement of the instrument refutes, by identifier.
+    #[must_use]
+    pub fn without(self, refuted: &[String]) -> Self {
+        Self { refuted: refuted.into(), ..self }
     }
 
     fn path(data: &WhiskerData, rows: &[&WhiskerRow], walk: Option<RandomWalkModel>) -> WhiskerPath {
@@ -126,6 +134,7 @@ impl WhiskerSystem {
             pictures: None,
             picture_scale: 1.0,
             stage_clock_s: 0.0,
+            refuted: Arc::default(),
             // Never singular: a unit matrix with one direction stretched.
             measured: shifts * dynamic(&whitening.try_inverse().unwrap_or_else(Matrix2::identity)),
             whitening,
@@ -178,6 +187,10 @@ impl WhiskerSystem {
             Need::MovingPictures => {
                 let none = !self.pictures.as_ref().is_some_and(moving);
                 none.then_some("no pair of pictures was taken while the stage moved")
+            }
+            Need::RestReadings => {
+                let none = self.path.readings.iter().all(|r| !r.rest);
+                none.then_some("no reading was taken at rest")
             }
             Need::Order | Need::Slope | Need::Covariate => None,
         }
@@ -232,10 +245,10 @@ impl WhiskerSystem {
 
     /// The same readings in other channels.
     fn in_channels(self, whitening: Matrix2<f64>) -> Self {
-        let (pictures, picture_scale, stage_clock_s) =
-            (self.pictures, self.picture_scale, self.stage_clock_s);
+        let (pictures, picture_scale, stage_clock_s, refuted) =
+            (self.pictures, self.picture_scale, self.stage_clock_s, self.refuted);
         let same = Self::assemble(&self.data, self.path, self.rows, self.walk, self.rod_tables, whitening);
-        Self { pictures, picture_scale, stage_clock_s, ..same }
+        Self { pictures, picture_scale, stage_clock_s, refuted, ..same }
     }
 
     /// The same readings with the stage's clock set by `stage_clock_s`.
@@ -368,8 +381,11 @@ impl MeasurementModel for WhiskerSystem {
     }
 
     fn not_observable(&self, effect: usize) -> Option<String> {
-        let needs = self.effects[effect].needs();
-        needs.into_iter().find_map(|need| self.unmet(need)).map(str::to_owned)
+        let effect = &self.effects[effect];
+        if self.refuted.iter().any(|id| id == effect.id()) {
+            return Some("another measurement of this whisker refutes it".to_owned());
+        }
+        effect.needs().into_iter().find_map(|need| self.unmet(need)).map(str::to_owned)
     }
 
     fn groups(&self) -> &[u32] {

@@ -106,7 +106,7 @@ pub fn verify_whisker(
         return refused(reason);
     }
     let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
-    let model = WhiskerSystem::new(data, &rows)?;
+    let model = WhiskerSystem::new(data, &rows)?.without(&options.refuted);
     if let Some(reason) = sensitivity::of_system(&model) {
         return refused(reason);
     }

@@ -13,6 +13,7 @@ mod groove_friction;
 mod hysteresis;
 mod picture_clock;
 mod rest_shape;
+mod rest_zero;
 mod rig_tag;
 mod slip_outliers;
 mod stage_backlash;
@@ -41,6 +42,7 @@ pub fn whisker_catalogue() -> Vec<Arc<dyn WhiskerEffect>> {
         Arc::new(base_compliance::BaseCompliance),
         Arc::new(temperature_mismatch::TemperatureMismatch),
         Arc::new(zero_drift::ZeroDrift),
+        Arc::new(rest_zero::RestZero),
         Arc::new(creep::Creep),
         Arc::new(hysteresis::Hysteresis),
         Arc::new(superelastic_softening::SuperelasticSoftening),

@@ -1,0 +1,84 @@
+//! A session of kind "sweep": readings along a motion of the base, past an object where it is known.
+
+use crate::ContactError;
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use std::path::{Path, PathBuf};
+use toml::{Table, Value};
+
+/// Kind in the description.
+pub const KIND: &str = "sweep";
+/// A mesh that is placed by hand lies within this of where it is said to lie, mm, where the session states nothing.
+pub const PLACED_SD_MM: f64 = 0.5;
+/// Uncertainties that a place may state, mm.
+const PLACED_SD_RANGE_MM: [f64; 2] = [0.0, 100.0];
+
+/// Files of a sweep.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SweepSession {
+    /// Identifier.
+    pub id: String,
+    /// Readings with the poses of the base.
+    pub points: PathBuf,
+    /// Mesh of the object, where it is known.
+    pub object: Option<PathBuf>,
+    /// Where the mesh lies in the frame of those poses, where it is known.
+    pub world_from_object: Option<Isometry3<f64>>,
+    /// Standard deviation of that place in each coordinate, mm.
+    pub object_sd_mm: f64,
+}
+
+impl SweepSession {
+    /// Of a folder; none where it holds something else.
+    ///
+    /// # Errors
+    /// A description of a sweep that cannot be used, by key.
+    pub fn of(folder: &Path) -> Result<Option<Self>, ContactError> {
+        let place = folder.join("session.toml");
+        let Ok(text) = wcal_core::files::read_text(&place) else { return Ok(None) };
+        let Ok(session) = text.parse::<Table>() else { return Ok(None) };
+        if session.get("kind").and_then(Value::as_str) != Some(KIND) {
+            return Ok(None);
+        }
+        let at = |key: &str| format!("{}: {key}", place.display());
+        let file = |key: &str| Some(folder.join(session.get("files")?.get(key)?.as_str()?));
+        let of_object = |key: &str| session.get("object").and_then(|o| o.get(key));
+        let world_from_object = match of_object("world_from_object") {
+            None => None,
+            Some(value) => {
+                let numbers: Vec<f64> = value.as_array().into_iter().flatten().filter_map(number).collect();
+                let pose = pose_of(&numbers).ok_or_else(|| {
+                    let expected = "x, y, z (mm) and a unit quaternion qw, qx, qy, qz";
+                    ContactError::value(at("object.world_from_object"), expected, value.to_string())
+                })?;
+                Some(pose)
+            }
+        };
+        let object_sd_mm = match of_object("sd_mm") {
+            None => PLACED_SD_MM,
+            Some(value) => {
+                let [low, high] = PLACED_SD_RANGE_MM;
+                number(value).filter(|sd| (low..=high).contains(sd)).ok_or_else(|| {
+                    let expected = format!("{low} to {high} mm");
+                    ContactError::value(at("object.sd_mm"), expected, value.to_string())
+                })?
+            }
+        };
+        let missing = || ContactError::value(at("files.points"), "a table of readings", "none");
+        let id = session.get("id").and_then(Value::as_str).unwrap_or_default().to_owned();
+        let points = file("points").ok_or_else(missing)?;
+        Ok(Some(Self { id, points, object: file("object"), world_from_object, object_sd_mm }))
+    }
+}
+
+fn number(value: &Value) -> Option<f64> {
+    value.as_float().or_else(|| value.as_integer().map(|v| v as f64))
+}
+
+/// A place and a unit quaternion as a pose; none where they are none.
+#[must_use]
+pub fn pose_of(numbers: &[f64]) -> Option<Isometry3<f64>> {
+    let [x, y, z, w, i, j, k] = *numbers else { return None };
+    let turn = Quaternion::new(w, i, j, k);
+    let sound = (turn.norm() - 1.0).abs() < 1e-3 && numbers.iter().all(|v| v.is_finite());
+    sound.then(|| Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::new_normalize(turn)))
+}

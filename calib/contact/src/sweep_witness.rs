@@ -1,0 +1,345 @@
+//! A sweep over an object that is known judges the explanations of a calibration session.
+//!
+//! The moments m of a reading allow a contact anywhere on the curve p(s; m), with a force along n(s; m) (`StaticInverse`). The object allows it
+//! where its surface is, d(p) = 0, along the outward normal nu within the cone of friction. The gap of a reading is the distance where the curve
+//! comes nearest to both:
+//!
+//! ```text
+//! d_k = d(p(s*; m_k)),    s* = argmin_s  d(p)^2 + (L max(0, angle(n, nu) - atan mu))^2
+//! ```
+//!
+//! What is not known of calibration, zero and the object's place moves all gaps together:
+//!
+//! ```text
+//! d_k = g_k' ((h_k - h_0) c + z + e(m_k)) + nu_k' x + f_k,   g = dd/dm,   c ~ N(0, 1),   z ~ N(0, Z),   x ~ N(0, s_o^2 1),   f ~ N(0, s_f^2)
+//! e ~ GP(0, R exp(-|m - m'|^2 / 2 l^2))        misfit of the calibration: alike for like moments, l the spacing of its poses
+//! T = d' S^-1 d ~ chi^2(n)                     S: the covariance of d
+//! ```
+//!
+//! h_0: the same error at the sweep's zero, which takes it away. Readings count from first load to the largest one: the contact is that of first touch there. A wire that slips while the load falls may lie on
+//! elsewhere, or at two places. The sweep has its own zero: the readings before the free wire comes near the object.
+
+use crate::ContactError;
+use crate::motion_table;
+use crate::sweep_session::SweepSession;
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix2, Vector2, Vector3};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+use wcal_calibration::{SensedRow, WhiskerCalibration};
+use wcal_core::observation::{MomentAxes, WhiskerSpec};
+use wcal_core::verify_document::SurfaceDistance;
+use wcal_core::{WhiskerData, WireFrame};
+use wcal_rod::Shape;
+use wcal_sim::Mesh;
+use wcal_track::{InverseGrid, InverseSolution, StaticInverse};
+
+/// Below this p-value an explanation is refuted.
+pub const REFUTED_LEVEL: f64 = 0.01;
+/// Largest friction of a wire on an object.
+const FRICTION: f64 = 0.3;
+/// What an angle outside the cone of friction counts, mm/rad: the wire's lever of some centimetres, with a margin.
+const LEVER_MM_PER_RAD: f64 = 12.0;
+/// The free wire is clear of the object from this distance on, mm, beside three standard deviations of the object's place.
+const CLEAR_MM: f64 = 0.5;
+/// Free readings that a zero needs at least.
+const MIN_FREE: usize = 3;
+/// Readings in contact that can judge at least.
+const MIN_SAMPLES: usize = 10;
+/// A reading is loaded beyond this many standard deviations of the free ones, or this share of the largest moment.
+const LOADED_SD: f64 = 5.0;
+const LOADED_SHARE: f64 = 0.02;
+/// Surfaces farther away than this are not looked for, mm.
+const REACH_MM: f64 = 50.0;
+/// Step of the moments for gradients, N mm.
+const STEP_NMM: f64 = 0.02;
+/// What friction, the mesh and the model of one contact leave of a gap, mm.
+const CONTACT_SD_MM: f64 = 0.3;
+
+/// A sweep over a known object, ready to judge.
+pub struct SweepWitness {
+    /// Identifier of the sweep.
+    pub id: String,
+    session: SweepSession,
+    mesh: Mesh,
+    world_from_object: Isometry3<f64>,
+    frame: WireFrame,
+    whisker: WhiskerSpec,
+    /// Loaded poses of the calibration session: what spaces its moments.
+    poses: usize,
+}
+
+/// What a sweep says of one calibration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SweepVerdict {
+    /// Signed gaps of the readings in contact, mm, with their times, s.
+    pub gaps: Vec<(f64, f64)>,
+    /// The same in numbers.
+    pub distance: SurfaceDistance,
+    /// Probability of gaps as unlikely where the calibration is right within its uncertainty.
+    pub p_value: f64,
+}
+
+impl SweepVerdict {
+    /// Whether the sweep refutes the calibration.
+    #[must_use]
+    pub fn refuted(&self) -> bool {
+        self.p_value < REFUTED_LEVEL
+    }
+}
+
+/// A reading in contact: gap, its derivative by the moments, and the outward normal of the surface in the world.
+struct Gap {
+    d_mm: f64,
+    by_moment: Vector2<f64>,
+    normal: Vector3<f64>,
+}
+
+/// A reading with the pose of the base.
+struct PosedRow<'a> {
+    row: &'a SensedRow,
+    t_s: f64,
+    world_from_base: Isometry3<f64>,
+}
+
+impl SweepWitness {
+    /// Of a sweep with the whisker of a calibration session.
+    ///
+    /// # Errors
+    /// Where the sweep has no object or does not say where it lies, or the wire cannot be used.
+    pub fn new(session: SweepSession, data: &WhiskerData) -> Result<Self, ContactError> {
+        let what = |key: &str| format!("{}: {key}", session.id);
+        let Some(object) = &session.object else {
+            return Err(ContactError::value(what("files.object"), "a mesh of the object", "none"));
+        };
+        let Some(world_from_object) = session.world_from_object else {
+            return Err(ContactError::value(
+                what("object.world_from_object"),
+                "the pose of the mesh",
+                "none",
+            ));
+        };
+        let axes: &MomentAxes = &data.moments;
+        let frame = WireFrame::new(&data.whisker, axes)
+            .map_err(|e| ContactError::value(e.key, e.expected, e.found))?;
+        let whisker = frame.whisker(&data.whisker);
+        let poses = data.rows.iter().filter(|r| r.trajectory.is_some()).count().max(1);
+        let mesh = Mesh::read(object)?;
+        Ok(Self { id: session.id.clone(), mesh, world_from_object, frame, whisker, poses, session })
+    }
+
+    /// Judges a calibration.
+    ///
+    /// # Errors
+    /// Where the sweep's table cannot be read by it, starts in contact, or never touches.
+    pub fn judge(
+        &self,
+        calibration: &dyn WhiskerCalibration,
+        declared: &WhiskerSpec,
+    ) -> Result<SweepVerdict, ContactError> {
+        let sensed = calibration.sensed(&self.session.points, declared)?;
+        let rows = self.posed(&sensed.rows)?;
+        // The sweep's own zero, and from when on the wire is loaded.
+        let free = self.free(&rows)?;
+        let moment = |r: &PosedRow<'_>| Vector2::from(self.frame.moment(r.row.sensed.moment_nmm));
+        let zero = rows[..free].iter().map(moment).sum::<Vector2<f64>>() / free as f64;
+        let shared =
+            |r: &PosedRow<'_>, k: usize| Vector2::from(self.frame.moment(r.row.sensed.shared_nmm[k]));
+        let count = rows.iter().map(|r| r.row.sensed.shared_nmm.len()).min().unwrap_or(0);
+        let at_zero: Vec<Vector2<f64>> = (0..count)
+            .map(|k| rows[..free].iter().map(|r| shared(r, k)).sum::<Vector2<f64>>() / free as f64)
+            .collect();
+        let scatter = rows[..free].iter().map(|r| (moment(r) - zero).norm_squared()).sum::<f64>();
+        let variance = scatter / (2.0 * (free - 1) as f64);
+        let largest = rows.iter().map(|r| (moment(r) - zero).norm()).fold(0.0, f64::max);
+        let loaded_nmm = (LOADED_SD * variance.sqrt()).max(LOADED_SHARE * largest);
+        let load = |r: &PosedRow<'_>| (moment(r) - zero).norm();
+        let peak =
+            (free..rows.len()).max_by(|a, b| load(&rows[*a]).total_cmp(&load(&rows[*b]))).unwrap_or(free);
+        let touching: Vec<&PosedRow<'_>> =
+            rows[free..=peak].iter().filter(|r| load(r) > loaded_nmm).collect();
+        if touching.len() < MIN_SAMPLES {
+            let found = format!("{} beyond {loaded_nmm:.3} N mm", touching.len());
+            let expected = format!("{MIN_SAMPLES} loaded readings");
+            return Err(ContactError::value(self.session.points.display().to_string(), expected, found));
+        }
+        let grid = InverseGrid::default();
+        let max_nmm = grid.max_nmm.max(1.05 * largest + STEP_NMM);
+        let inverse = StaticInverse::new(&self.whisker, InverseGrid { max_nmm, ..grid })?;
+        let moments: Vec<Vector2<f64>> = touching.iter().map(|r| moment(r) - zero).collect();
+        let gaps: Vec<Gap> = touching
+            .iter()
+            .zip(&moments)
+            .filter_map(|(r, m)| self.gap(&inverse, m, &r.world_from_base))
+            .collect();
+        if gaps.len() < touching.len() {
+            let found = format!("{} of {}", gaps.len(), touching.len());
+            let expected = format!("an object within {REACH_MM} mm of the wire at every loaded reading");
+            return Err(ContactError::value(self.session.points.display().to_string(), expected, found));
+        }
+        let spacing_nmm = largest / (self.poses as f64).sqrt();
+        let zero_nmm2 = Matrix2::identity() * (variance / free as f64);
+        // What all readings share is off the zero already.
+        let off_zero = |r: &PosedRow<'_>| (0..count).map(|k| shared(r, k) - at_zero[k]).collect();
+        let known: Vec<Vec<Vector2<f64>>> = touching.iter().map(|r| off_zero(r)).collect();
+        let covariance = self.covariance(&touching, &moments, &gaps, &known, (zero_nmm2, spacing_nmm));
+        Ok(SweepVerdict {
+            distance: distance(&gaps),
+            gaps: touching.iter().zip(&gaps).map(|(r, g)| (r.t_s, g.d_mm)).collect(),
+            p_value: p_value(&gaps, covariance),
+        })
+    }
+
+    /// The readings at which the base's pose is known.
+    fn posed<'a>(&self, rows: &'a [SensedRow]) -> Result<Vec<PosedRow<'a>>, ContactError> {
+        let logged = motion_table::read(&self.session.points, 0.0)?;
+        let place = self.session.points.display().to_string();
+        let mut posed = Vec::with_capacity(rows.len());
+        for row in rows {
+            let Some(t_s) = row.t_s else {
+                return Err(ContactError::value(
+                    format!("{place}: line {}: t_s", row.line),
+                    "a time",
+                    "none",
+                ));
+            };
+            if let Ok(motion) = logged.log.at(t_s, &Vector3::zeros()) {
+                let world_from_base = crate::table_source::base_pose(&motion).world_from_base;
+                posed.push(PosedRow { row, t_s, world_from_base });
+            }
+        }
+        Ok(posed)
+    }
+
+    /// Number of the readings at the beginning at which the free wire is clear of the object.
+    fn free(&self, rows: &[PosedRow<'_>]) -> Result<usize, ContactError> {
+        let shape = Shape::new(&self.whisker.rest_shape, 0.5)?;
+        let clear_mm = CLEAR_MM + 3.0 * self.session.object_sd_mm + 0.5 * self.whisker.diameter_mm;
+        let points: Vec<Vector3<f64>> = shape.nodes_mm.iter().map(|p| self.to_base(p)).collect();
+        let clear = |r: &PosedRow<'_>| {
+            let to_object = self.world_from_object.inverse() * r.world_from_base;
+            points.iter().all(|p| {
+                let at = to_object.transform_point(&(*p).into()).coords;
+                self.mesh.closest_point(&at, clear_mm).is_none()
+            })
+        };
+        let free = rows.iter().take_while(|r| clear(r)).count();
+        if free < MIN_FREE {
+            let place = self.session.points.display().to_string();
+            let expected =
+                format!("{MIN_FREE} readings before the wire comes within {clear_mm:.1} mm of the object");
+            return Err(ContactError::value(
+                place,
+                expected,
+                format!("{free}: the sweep has no zero of its own"),
+            ));
+        }
+        Ok(free)
+    }
+
+    /// A point of the wire's frame in that of the base.
+    fn to_base(&self, p: &Vector3<f64>) -> Vector3<f64> {
+        self.frame.rotation().inverse() * p
+    }
+
+    /// Gap of a reading with its derivatives; none where the object is out of reach.
+    fn gap(
+        &self,
+        inverse: &StaticInverse,
+        m: &Vector2<f64>,
+        world_from_base: &Isometry3<f64>,
+    ) -> Option<Gap> {
+        let to_object = self.world_from_object.inverse() * world_from_base;
+        let mut solutions = Vec::new();
+        let mut nearest = |m: Vector2<f64>| {
+            inverse.solutions([m.x, m.y], &mut solutions);
+            self.nearest(&solutions, &to_object)
+        };
+        let (d_mm, normal) = nearest(*m)?;
+        let by = |v: Option<(f64, Vector3<f64>)>| v.map_or(0.0, |(d, _)| (d - d_mm) / STEP_NMM);
+        let by_moment = Vector2::new(
+            by(nearest(m + Vector2::new(STEP_NMM, 0.0))),
+            by(nearest(m + Vector2::new(0.0, STEP_NMM))),
+        );
+        Some(Gap { d_mm, by_moment, normal: self.world_from_object.rotation * normal })
+    }
+
+    /// Distance from the surface where the curve comes nearest to a contact, and the outward normal there, frame of the object.
+    fn nearest(
+        &self,
+        solutions: &[InverseSolution],
+        to_object: &Isometry3<f64>,
+    ) -> Option<(f64, Vector3<f64>)> {
+        let mut best: Option<(f64, f64, Vector3<f64>)> = None;
+        for s in solutions.iter().filter(|s| s.reachable) {
+            let at = to_object.transform_point(&self.to_base(&s.point_mm).into()).coords;
+            let Some(near) = self.mesh.closest_point(&at, REACH_MM) else { continue };
+            let off = (at - near.point_mm) * near.distance_mm.signum();
+            let Some(outward) = off.try_normalize(1e-9) else { continue };
+            let force = to_object.rotation * self.to_base(&s.normal);
+            let angle = force.dot(&outward).clamp(-1.0, 1.0).acos();
+            let excess_mm = LEVER_MM_PER_RAD * (angle - FRICTION.atan()).max(0.0);
+            let cost = near.distance_mm.hypot(excess_mm);
+            if best.is_none_or(|(c, ..)| cost < c) {
+                best = Some((cost, near.distance_mm, outward));
+            }
+        }
+        best.map(|(_, d, normal)| (d, normal))
+    }
+
+    /// Covariance of the gaps where the calibration is right within its uncertainty, mm^2.
+    fn covariance(
+        &self,
+        rows: &[&PosedRow<'_>],
+        moments: &[Vector2<f64>],
+        gaps: &[Gap],
+        shared_nmm: &[Vec<Vector2<f64>>],
+        (zero_nmm2, spacing_nmm): (Matrix2<f64>, f64),
+    ) -> DMatrix<f64> {
+        let n = rows.len();
+        let root = |i: usize| {
+            root2(&self.frame.covariance(&rows[i].row.sensed.noise_nmm2)).transpose() * gaps[i].by_moment
+        };
+        let misfit: Vec<Vector2<f64>> = (0..n).map(root).collect();
+        let shared: Vec<Vec<f64>> =
+            (0..n).map(|i| shared_nmm[i].iter().map(|h| gaps[i].by_moment.dot(h)).collect()).collect();
+        let placed = self.session.object_sd_mm.powi(2);
+        DMatrix::from_fn(n, n, |i, j| {
+            let off = (moments[i] - moments[j]).norm() / spacing_nmm.max(1e-9);
+            let alike = (-0.5 * off * off).exp();
+            let common: f64 = shared[i].iter().zip(&shared[j]).map(|(a, b)| a * b).sum();
+            let zero = gaps[i].by_moment.dot(&(zero_nmm2 * gaps[j].by_moment));
+            let own = if i == j { CONTACT_SD_MM.powi(2) } else { 0.0 };
+            alike * misfit[i].dot(&misfit[j])
+                + common
+                + zero
+                + placed * gaps[i].normal.dot(&gaps[j].normal)
+                + own
+        })
+    }
+}
+
+/// Probability of gaps as unlikely under their covariance.
+fn p_value(gaps: &[Gap], covariance: DMatrix<f64>) -> f64 {
+    let d = DVector::from_iterator(gaps.len(), gaps.iter().map(|g| g.d_mm));
+    let chi2 = ChiSquared::new(gaps.len() as f64).ok();
+    let squares = covariance.cholesky().map(|c| d.dot(&c.solve(&d)));
+    chi2.zip(squares).map_or(f64::NAN, |(chi2, squares)| chi2.sf(squares))
+}
+
+/// Root of a covariance; zero where it is none.
+fn root2(nmm2: &Matrix2<f64>) -> Matrix2<f64> {
+    nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l())
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+fn distance(gaps: &[Gap]) -> SurfaceDistance {
+    let n = gaps.len() as f64;
+    SurfaceDistance {
+        distance_rmse_mm: (gaps.iter().map(|g| g.d_mm * g.d_mm).sum::<f64>() / n).sqrt(),
+        distance_mean_mm: gaps.iter().map(|g| g.d_mm.abs()).sum::<f64>() / n,
+        distance_median_mm: median(gaps.iter().map(|g| g.d_mm.abs()).collect()),
+    }
+}

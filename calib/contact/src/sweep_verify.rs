@@ -113,7 +113,19 @@ fn say(
             document.reason
         );
     }
-    if after.refuted() {
+    let remain: Vec<String> = judged
+        .iter()
+        .filter(|j| !j.refuted && !j.effects.is_empty())
+        .map(|j| j.effects.join(" with "))
+        .collect();
+    if after.refuted() && document.verdict == Verdict::Ambiguous && !remain.is_empty() {
+        document.reason = format!(
+            "The sweep {} refutes some of the explanations; it leaves {}. {}",
+            witness.id,
+            remain.join("; "),
+            document.reason
+        );
+    } else if after.refuted() {
         document.reason = format!(
             "The sweep {} refutes the accepted model: the contacts that its moments allow lie {:.2} mm from the object in the median (p = {:.1e}). {}",
             witness.id, after.distance.distance_median_mm, after.p_value, document.reason

@@ -13,9 +13,10 @@
 //! ```text
 //! d_k = g_k' ((h_k - h_0) c + z + e(m_k)) + nu_k' x + f_k,   g = dd/dm,   c ~ N(0, 1),   z ~ N(0, Z),   x ~ N(0, s_o^2 1),   f ~ N(0, s_f^2)
 //! e ~ GP(0, R exp(-|m - m'|^2 / 2 l^2))        misfit of the calibration: alike for like moments, l the spacing of its poses
-//! T = d' S^-1 d ~ chi^2(n)                     S: the covariance of d
+//! T = sum_j (u_j' d)^2 / l_j ~ chi^2(q)        l_j, u_j: eigenvalues and vectors of the covariance of d; q of them exceed 2 s_f^2
 //! ```
 //!
+//! s_f bounds what friction and the mesh do and is no measured noise: directions in which it rules say nothing.
 //! h_0: the same error at the sweep's zero, which takes it away. Readings count from first load to the largest one: the contact is that of first touch there. A wire that slips while the load falls may lie on
 //! elsewhere, or at two places. The sweep has its own zero: the readings before the free wire comes near the object.
 
@@ -317,12 +318,14 @@ impl SweepWitness {
     }
 }
 
-/// Probability of gaps as unlikely under their covariance.
+/// Probability of gaps as unlikely under their covariance, in the directions in which the calibration rules; 1 without any.
 fn p_value(gaps: &[Gap], covariance: DMatrix<f64>) -> f64 {
     let d = DVector::from_iterator(gaps.len(), gaps.iter().map(|g| g.d_mm));
-    let chi2 = ChiSquared::new(gaps.len() as f64).ok();
-    let squares = covariance.cholesky().map(|c| d.dot(&c.solve(&d)));
-    chi2.zip(squares).map_or(f64::NAN, |(chi2, squares)| chi2.sf(squares))
+    let eigen = covariance.symmetric_eigen();
+    let ruled = (0..d.len()).filter(|j| eigen.eigenvalues[*j] > 2.0 * CONTACT_SD_MM.powi(2));
+    let squares: Vec<f64> =
+        ruled.map(|j| eigen.eigenvectors.column(j).dot(&d).powi(2) / eigen.eigenvalues[j]).collect();
+    ChiSquared::new(squares.len() as f64).map_or(1.0, |chi2| chi2.sf(squares.iter().sum()))
 }
 
 /// Root of a covariance; zero where it is none.

@@ -8,14 +8,9 @@
 //! `--each` prints every trajectory.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example talks to its user")]
 
-// The program's own tracking of a session; what the example does not use of it is used by `wcal verify` and `wcal track`.
-#[allow(dead_code)]
-#[path = "../calib/cli/known_motion.rs"]
-mod known_motion;
-
 use anyhow::{Context, Result, bail};
-use known_motion::{Compared, track};
 use wcal_calibration::WhiskerCalibration;
+use wcal_contact::session_groove::{Compared, track};
 use wcal_core::SessionData;
 use wcal_core::verify_document::Verdict;
 use wcal_plant::exam::clopper_pearson;

@@ -15,6 +15,16 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
         // A program: wcal speaks to it, nothing depends on it.
         "wcal-mujoco-engine" => &["wcal-mujoco", "wcal-sim"],
         "wcal-track" => &["wcal-core", "wcal-rod", "wcal-sim", "wcal-map"],
+        "wcal-contact" => &[
+            "wcal-core",
+            "wcal-session",
+            "wcal-acquisition",
+            "wcal-rod",
+            "wcal-trace",
+            "wcal-calibration",
+            "wcal-sim",
+            "wcal-track",
+        ],
         "wcal-trace" => &["wcal-core", "wcal-session", "wcal-rod", "wcal-map"],
         // A device needs its entry of the rig, no session.
         "wcal-drivers" => &["wcal-core"],
@@ -34,6 +44,7 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
             "wcal-sim",
             "wcal-mujoco",
             "wcal-track",
+            "wcal-contact",
             // The virtual bench's wire: physics that shares no code with the fitter.
             "wcal-plant",
         ],

@@ -1,6 +1,7 @@
 //! `wcal import --kind whiskerfbg-sweep` and the track of it, on a record in the release's layout that the rod engine made (SIMULATED).
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::process::{Command, Output};
@@ -12,6 +13,8 @@ use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
 /// Shifts by moments, nm/(N mm).
 const K: [[f64; 2]; 2] = [[0.20, 0.03], [-0.02, 0.18]];
 const RATE_HZ: f64 = 2000.0;
+/// Frame of the release by that of the program: x, y, z become y, z, x.
+const RELEASE: Matrix3<f64> = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
 /// Samples before the sweep: longer than the zero of the release.
 const LEAD: usize = 4000;
 
@@ -44,9 +47,17 @@ fn calibration(folder: &Path) -> String {
     }
     std::fs::write(session.join("points.csv"), points).unwrap();
     std::fs::write(session.join("twin.csv"), twin).unwrap();
+    // The wire as points, in the frame of the release: along +y, the base goes along +x.
+    let mut shape = "x_mm,y_mm,z_mm\n".to_owned();
+    for p in WhiskerSpec::nominal().rest_shape.points(0.5) {
+        let p = RELEASE * p;
+        writeln!(shape, "{},{},{}", p.x, p.y, p.z).unwrap();
+    }
+    std::fs::write(session.join("rest_shape.csv"), shape).unwrap();
     let description = "format = \"wcal-session/1\"\nid = \"exact-map\"\nkind = \"whisker\"\nmedium = \"air\"\n\
-        [files]\npoints = \"points.csv\"\ntwin = \"twin.csv\"\n\
-        [whisker]\ndiameter_mm = 0.3\nyoungs_gpa = 75.0\nshear_gpa = 28.2\nstraight_mm = 30.0\narc_radius_mm = 20.0\nlength_mm = 60.0\n\
+        [files]\npoints = \"points.csv\"\ntwin = \"twin.csv\"\nrest_shape = \"rest_shape.csv\"\n\
+        [whisker]\ndiameter_mm = 0.3\nyoungs_gpa = 75.0\nshear_gpa = 28.2\n\
+        [moments]\naxes = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]\nsign = 1.0\n\
         [fbg]\ntemperature_compensated = true\n\
         [[trajectory]]\nid = 1\norigin_mm = [30.0, 0.0, 0.0]\ndirection = [0.0, 0.0, 1.0]\n[provenance]\nsimulated = true\n";
     std::fs::write(session.join("session.toml"), description).unwrap();
@@ -112,8 +123,10 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
 
     // The base has gone 107 mm less at the same travel: so has the object in the frame that the base moves in.
     let at_start = &series[0].base_from_object;
-    let (t, q) = (at_start.translation.vector, at_start.rotation.coords);
-    let pose = format!("{},{},{},{},{},{},{}", t.x, t.y, t.z - 107.0, q.w, q.x, q.y, q.z);
+    let t = at_start.translation.vector;
+    let t = RELEASE * Vector3::new(t.x, t.y, t.z - 107.0);
+    let q = (UnitQuaternion::from_matrix(&RELEASE) * at_start.rotation).coords;
+    let pose = format!("{},{},{},{},{},{},{}", t.x, t.y, t.z, q.w, q.x, q.y, q.z);
     let by_motion = std::cell::RefCell::new(Vec::new());
     let score = |name: &str, sign: f64, placed: bool| -> serde_json::Value {
         let (optic, action) = record(&series[0], sign);

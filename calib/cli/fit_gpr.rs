@@ -8,7 +8,7 @@ use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_calibration::{CalibrationModel, provenance, seal};
+use wcal_calibration::{CalibrationModel, WireParts, provenance, seal};
 use wcal_core::map_document::MapDocument;
 use wcal_core::{Role, SessionData, VerificationStatus, WhiskerData, WhiskerRow};
 use wcal_map::{Criterion, FitOptions, MapTraining, document, fit_map};
@@ -132,8 +132,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         None,
         CalibrationModel::Map(fit.artefact),
         provenance(&session, args.seed),
-        Some(&data.whisker),
-        None,
+        Some(WireParts { whisker: &data.whisker, moments: &data.moments, contact: None }),
     )?;
 
     out.put("calibration.json", serde_json::to_vec_pretty(&calibration)?);

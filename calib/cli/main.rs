@@ -14,7 +14,6 @@ mod fit_whisker;
 mod import;
 mod init;
 mod interrupt;
-mod known_motion;
 mod labels;
 mod output;
 mod picture_output;

@@ -1,25 +1,14 @@
 //! `wcal track`: from wavelengths to contact points: of a table, of a recording, or live.
 
 mod feed;
-mod groove;
-mod known_motion;
 mod live;
-mod located;
-mod moments_alone;
-mod motion;
-mod motion_log;
-mod motion_table;
 mod object;
 mod output;
 mod recorded_motion;
-mod sliding;
-mod stream_motion;
 mod surface;
 mod table;
-mod trust;
-mod whiskers;
 
-pub use trust::filters_for;
+pub use wcal_contact::trust::filters_for;
 
 use crate::import::SweepFolder;
 use crate::train::burn_device;
@@ -29,8 +18,13 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use trust::{CheckedCalibration, WhiskerModel, say_contact_uncertainty};
 use wcal_acquisition::rig::Rig;
+use wcal_calibration::CalibrationModel;
+use wcal_contact::known_motion_stream::MotionAccuracy;
+use wcal_contact::session_groove::contact_sentence;
+use wcal_contact::table_source::median_step_s;
+use wcal_contact::trust::{CheckedCalibration, WhiskerModel};
+use wcal_core::CalibrationFile;
 use wcal_core::Purpose;
 use wcal_track::Tracker;
 use wcal_track::classes::of_class;
@@ -165,6 +159,8 @@ const MAX_QUEUE: u64 = 10_000_000;
 /// Where readings come from.
 enum Source {
     Table(PathBuf),
+    /// A session folder along the known way of its groove.
+    Session(PathBuf),
     Recordings(Vec<PathBuf>),
     Interrogator,
 }
@@ -176,101 +172,136 @@ enum Source {
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     output::check(&args.out, args.force)?;
     crate::simulate::within("--queue", args.queue as u64, MAX_QUEUE)?;
-    if args.model.is_empty() {
-        if let Some(sweep) = args.source.as_deref().and_then(SweepFolder::of) {
-            return motion_table::track(args, &sweep.points);
-        }
-        let folder = args.source.as_deref().filter(|s| s.join("session.toml").is_file());
-        return match (folder, &args.source) {
-            (Some(folder), _) if args.motion.is_none() => known_motion::track(args, folder),
-            (Some(folder), _) => motion_table::track(args, &points_table(folder)?),
-            (None, Some(table)) if !table.is_dir() && table.extension().is_none_or(|e| e != "mcap") => {
-                motion_table::track(args, table)
-            }
-            _ => along_stream(args),
-        };
-    }
+    check_accuracy(args)?;
     let (source, rig) = source(args)?;
     let names: Vec<String> = match &rig {
         Some((_, rig)) => rig.interrogator.whiskers().iter().map(|w| (*w).to_owned()).collect(),
         None => vec![String::new()],
     };
-    let calibrations = by_whisker("--calibration", &args.calibration, &names)?;
-    let folders = by_whisker("--model", &args.model, &names)?;
-    let stream_s = (!matches!(source, Source::Table(_))).then(|| 1.0 / args.rate_hz);
-    let mut judged = Vec::new();
-    for name in &names {
-        let mut one = CheckedCalibration::read(name, &calibrations[name], read_card(&folders[name])?)?;
-        match (&source, stream_s) {
-            (Source::Table(path), _) => one.check_step(table::median_step_s(path)?),
-            (_, step_s) => one.check_step(step_s),
+    let folders = match args.model[..] {
+        [] => BTreeMap::new(),
+        _ => by_whisker("--model", &args.model, &names)?,
+    };
+    let session = match &source {
+        Source::Session(folder) => Some(table::load_session(args, folder)?),
+        _ => None,
+    };
+    let mut checked = Vec::new();
+    for (name, place) in by_whisker("--calibration", &args.calibration, &names)? {
+        let card = folders.get(&name).map(|folder| read_card(folder)).transpose()?;
+        checked.push(CheckedCalibration::read(&name, &place, card)?);
+    }
+    let step_s = match &source {
+        Source::Table(path) => median_step_s(path)?,
+        _ => Some(1.0 / args.rate_hz),
+    };
+    for one in &mut checked {
+        one.check_step(step_s);
+        if let Some(session) = &session {
+            one.check_session(&session.whisker);
         }
-        judged.push(one);
     }
-    for (one, doubt) in judged.iter().flat_map(|j| j.doubts.messages().into_iter().map(move |d| (j, d))) {
-        say_doubt(args, one.name(), &doubt);
-    }
-    if judged.iter().any(|j| !j.doubts.none()) && !args.force {
+    if !trusted(args, &checked) {
         return Ok(ExitCode::from(4));
     }
-    for one in &judged {
-        say_contact_uncertainty(one.name(), one.file());
-    }
-    let mut trackers: BTreeMap<&Path, Tracker> = BTreeMap::new();
-    for folder in folders.values() {
-        if !trackers.contains_key(folder.as_path()) {
-            let (mut tracker, card) = load(folder, &burn_device())?;
-            tracker.sd_factors = card.sd_factors_of_stream();
-            if let Some(class) = &args.object_class {
-                let own = of_class(&card.sd_factors_by_class, class)
-                    .with_context(|| format!("model {}", folder.display()))?;
-                // How a class differs is known from clean sweeps.
-                let [unknown, known] = tracker.sd_factors;
-                let differs = [0, 1].map(|k| own[k] / card.sd_factors[k]);
-                tracker.sd_factors = [unknown.scaled(differs[0]), known.scaled(differs[1])];
-            }
-            trackers.insert(folder, tracker);
-        }
-    }
-    let loaded: Vec<WhiskerModel<'_>> =
-        names.iter().zip(judged).map(|(n, j)| j.with(&trackers[folders[n].as_path()])).collect();
-    if let (Source::Table(path), true) = (&source, args.mcap.is_some() || args.live.is_some()) {
+    let trackers = trackers(args, &folders)?;
+    let tracker = |name: &str| folders.get(name).and_then(|folder| trackers.get(folder));
+    let loaded: Vec<WhiskerModel<'_>> = checked
+        .into_iter()
+        .map(|c| {
+            let tracker = tracker(c.name());
+            c.with(tracker)
+        })
+        .collect();
+    if let (Source::Table(path) | Source::Session(path), true) =
+        (&source, args.mcap.is_some() || args.live.is_some())
+    {
         bail!("{}: expected a stream for --mcap and --live, found a table", path.display());
     }
-    match (source, rig) {
-        (Source::Table(path), _) => table::track(args, &path, &loaded[0]),
-        (Source::Recordings(parts), Some((place, rig))) => live::replay(args, &parts, &place, &rig, &loaded),
-        (Source::Interrogator, Some((place, rig))) => live::track(args, &place, &rig, &loaded),
-        (_, None) => bail!("expected --rig RIG for a stream, found none"),
+    match (source, rig, session) {
+        (Source::Table(path), ..) => {
+            table::track(args, &path, table::of_table(args, &path, &loaded[0])?, &loaded[0])
+        }
+        (Source::Session(folder), _, Some(session)) => {
+            table::track(args, &folder, table::of_session(&session, &loaded[0])?, &loaded[0])
+        }
+        (Source::Recordings(parts), Some((place, rig)), _) => {
+            live::replay(args, &parts, &place, &rig, &loaded)
+        }
+        (_, Some((place, rig)), _) => live::track(args, &place, &rig, &loaded),
+        (_, None, _) => bail!("expected --rig RIG for a stream, found none"),
     }
 }
 
-/// Tracks a stream without a network, along its motion.
-fn along_stream(args: &TrackArgs) -> Result<ExitCode> {
-    motion_table::check_accuracy(args)?;
-    let (source, Some((place, rig))) = source(args)? else {
-        bail!("expected --rig RIG for a stream, found none");
-    };
-    let names: Vec<String> = rig.interrogator.whiskers().iter().map(|w| (*w).to_owned()).collect();
-    let calibrations = by_whisker("--calibration", &args.calibration, &names)?;
-    let all = names.iter().map(|n| WhiskerModel::without_network(n, &calibrations[n]));
-    let loaded = all.collect::<Result<Vec<_>>>()?;
-    for (one, doubt) in loaded.iter().flat_map(|l| l.doubts.messages().into_iter().map(move |d| (l, d))) {
-        say_doubt(args, &one.name, &doubt);
+/// Says what speaks against the calibrations and models, and what they make of a contact; whether the rows may be written.
+fn trusted(args: &TrackArgs, checked: &[CheckedCalibration]) -> bool {
+    for one in checked {
+        let whose = if one.name().is_empty() { String::new() } else { format!("whisker {}: ", one.name()) };
+        if !one.names_whisker() && !args.model.is_empty() {
+            let place = one.place().display();
+            eprintln!("warning: {place}: it does not say of which whisker; the model is taken to fit");
+        }
+        for doubt in one.doubts.messages() {
+            eprintln!("{}: {whose}{doubt}", if args.force { "warning" } else { "refused" });
+        }
     }
-    if loaded.iter().any(|l| !l.doubts.none()) && !args.force {
-        return Ok(ExitCode::from(4));
+    if checked.iter().any(|c| !c.doubts.none()) && !args.force {
+        return false;
     }
-    match source {
-        Source::Recordings(parts) => live::replay(args, &parts, &place, &rig, &loaded),
-        _ => live::track(args, &place, &rig, &loaded),
-    }
+    checked.iter().for_each(|one| say_contact_uncertainty(one.name(), one.file()));
+    true
 }
 
-/// Says what speaks against a whisker's calibration or model.
-fn say_doubt(args: &TrackArgs, name: &str, doubt: &str) {
-    let whose = if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
-    eprintln!("{}: {whose}{doubt}", if args.force { "warning" } else { "refused" });
+/// The networks by their folders.
+fn trackers(args: &TrackArgs, folders: &BTreeMap<String, PathBuf>) -> Result<BTreeMap<PathBuf, Tracker>> {
+    let mut trackers = BTreeMap::new();
+    for folder in folders.values() {
+        if trackers.contains_key(folder) {
+            continue;
+        }
+        let (mut tracker, card) = load(folder, &burn_device())?;
+        tracker.sd_factors = card.sd_factors_of_stream();
+        if let Some(class) = &args.object_class {
+            let own = of_class(&card.sd_factors_by_class, class)
+                .with_context(|| format!("model {}", folder.display()))?;
+            // How a class differs is known from clean sweeps.
+            let [unknown, known] = tracker.sd_factors;
+            let differs = [0, 1].map(|k| own[k] / card.sd_factors[k]);
+            tracker.sd_factors = [unknown.scaled(differs[0]), known.scaled(differs[1])];
+        }
+        trackers.insert(folder.clone(), tracker);
+    }
+    Ok(trackers)
+}
+
+/// Checks what the arguments say of the motion's accuracy, and of the time of the zero.
+///
+/// # Errors
+/// Negative numbers and those that are not finite.
+fn check_accuracy(args: &TrackArgs) -> Result<()> {
+    for (option, value) in [
+        ("--motion-sd-mm", args.motion_sd_mm),
+        ("--motion-clock-sd-s", args.motion_clock_sd_s),
+        ("--tare-s", args.tare_s),
+    ] {
+        if !(value.is_finite() && value >= 0.0) {
+            bail!("{option}: expected 0 or more, found {value}");
+        }
+    }
+    Ok(())
+}
+
+/// What the user says of the motion's accuracy.
+fn accuracy(args: &TrackArgs) -> MotionAccuracy {
+    MotionAccuracy { moved_sd_mm: args.motion_sd_mm, clock_sd_s: args.motion_clock_sd_s }
+}
+
+/// Says at the start what a calibration makes of a contact, where it knows; `whisker` is its name among several, or empty.
+fn say_contact_uncertainty(whisker: &str, file: &CalibrationFile<CalibrationModel>) {
+    let whose = if whisker.is_empty() { String::new() } else { format!("whisker {whisker}: ") };
+    if let Some(contact) = &file.contact_uncertainty {
+        eprintln!("{whose}{}", contact_sentence(contact));
+    }
 }
 
 /// The points table of a session folder.
@@ -292,6 +323,15 @@ fn source(args: &TrackArgs) -> Result<(Source, Option<(String, Rig)>)> {
         Some(path) if path.is_dir() => {
             if let Some(sweep) = SweepFolder::of(path) {
                 return Ok((Source::Table(sweep.points), None));
+            }
+            if args.model.is_empty() && path.join("session.toml").is_file() {
+                return Ok((
+                    match args.motion {
+                        Some(_) => Source::Table(points_table(path)?),
+                        None => Source::Session(path.clone()),
+                    },
+                    None,
+                ));
             }
             let parts = wcal_acquisition::reduce::recordings(path);
             if parts.is_empty() {
@@ -342,28 +382,6 @@ fn by_whisker(option: &str, given: &[String], names: &[String]) -> Result<BTreeM
         }
     }
     Ok(all)
-}
-
-/// What speaks against the rows that were written.
-struct Outcome {
-    /// Rows lie outside the calibration's valid region.
-    outside: bool,
-    /// Stated regions do not hold a known groove.
-    misstated: bool,
-    /// Readings were lost, dropped or unusable.
-    lost: bool,
-    /// Contact in a motion that the model was never trained on, or that is not known.
-    untrained: bool,
-}
-
-/// 4 before 3 before 0.
-fn exit_code(args: &TrackArgs, found: Outcome) -> ExitCode {
-    let not_good_enough = found.outside || found.misstated;
-    ExitCode::from(match (not_good_enough && !args.force, found.lost || found.untrained) {
-        (true, _) => 4,
-        (false, true) => 3,
-        (false, false) => 0,
-    })
 }
 
 /// A cloud needs the pose of the base: checked before anything is written.

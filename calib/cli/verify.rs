@@ -4,7 +4,6 @@ mod text;
 
 pub use text::print_text;
 
-use crate::known_motion;
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::report::put_page;
 use crate::report_input::{of_document, of_scalar, of_whisker};
@@ -16,8 +15,9 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use text::{predictions_csv, scalar_csv};
 use wcal_calibration::{
-    CalibrationModel, GivenCalibration, SessionSystem, WhiskerCalibration, provenance, seal,
+    CalibrationModel, GivenCalibration, SessionSystem, WhiskerCalibration, WireParts, provenance, seal,
 };
+use wcal_contact::session_groove;
 use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, VerifyDocument};
 use wcal_core::{Provenance, SessionData, Unsealing, VerificationStatus, WhiskerData};
 use wcal_report::{Page, ReportInput};
@@ -220,14 +220,16 @@ pub fn verify_session(
         _ => false,
     };
     if let Some(model) = model.filter(|_| verified) {
-        let whisker = match &session.data {
-            SessionData::Whisker(data) => Some(&data.whisker),
+        let contact = report.verify.groove_tracking.as_ref().and_then(session_groove::calibration_contact);
+        let wire = match &session.data {
+            SessionData::Whisker(data) => {
+                Some(WireParts { whisker: &data.whisker, moments: &data.moments, contact })
+            }
             _ => None,
         };
         let status = VerificationStatus::Verified;
-        let contact = report.verify.groove_tracking.as_ref().and_then(known_motion::calibration_contact);
         let expires = valid_until(*valid_days)?;
-        let file = seal(&session.id, status, expires, model, provenance, whisker, contact)?;
+        let file = seal(&session.id, status, expires, model, provenance, wire)?;
         out.put("calibration.json", serde_json::to_vec_pretty(&file)?);
     }
     if let (Some(given), Some(judged)) = (given, judged) {
@@ -285,9 +287,9 @@ fn groove_tracking(done: &WhiskerVerification) -> anyhow::Result<Option<GrooveTr
     let Some(motion) = done.model.groove_motion(whole) else { return Ok(None) };
     let [sealed, _] = whole.held_out();
     let (any, split) = if sealed.contains(&true) { (true, "holdout") } else { (false, "fit") };
-    let tracked = known_motion::track(whole, motion, |i| sealed[i] == any)?;
+    let tracked = session_groove::track(whole, motion, |i| sealed[i] == any)?;
     let compared = tracked.compared(whole, |i| whole.row(i).groove_mm)?;
-    Ok(known_motion::groove_tracking(&compared, split))
+    Ok(session_groove::groove_tracking(&compared, split))
 }
 
 fn of_scalar_session(

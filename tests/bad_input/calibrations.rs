@@ -13,6 +13,8 @@ pub fn calibration(model: serde_json::Value) -> serde_json::Value {
         provenance: wcal_core::Provenance::default(),
         whisker: None,
         contact_uncertainty: None,
+        frame: None,
+        noise: None,
         content_sha256: String::new(),
     };
     file.content_sha256 = file.compute_hash().unwrap();

@@ -3,7 +3,7 @@
 use crate::error::CalibrationError;
 use std::path::Path;
 use wcal_core::stream::MomentStream;
-use wcal_core::{FbgSpec, WhiskerRow, WhiskerSpec};
+use wcal_core::{CalibrationNoise, FbgSpec, WhiskerRow, WhiskerSpec};
 use wcal_session::SessionWarning;
 use wcal_trace::scalar::ScalarSystem;
 use wcal_trace::verify::SessionModel;
@@ -48,6 +48,8 @@ pub trait WhiskerCalibration {
     fn fbg(&self) -> &FbgSpec;
     /// Standard deviation of its moments from pose to pose, N mm.
     fn noise_sd_nmm(&self) -> f64;
+    /// What the errors of its moments are made of.
+    fn noise(&self) -> CalibrationNoise;
     /// Moments of a table's readings.
     ///
     /// # Errors

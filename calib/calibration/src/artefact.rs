@@ -9,7 +9,9 @@ use wcal_core::calibration::CALIBRATION_FORMAT;
 use wcal_core::format;
 use wcal_core::ranges::{self, Range};
 use wcal_core::verify_document::CalibrationContact;
-use wcal_core::{CalibrationFile, Provenance, VerificationStatus, WhiskerSpec};
+use wcal_core::{
+    CalibrationFile, CalibrationFrame, MomentAxes, Provenance, VerificationStatus, WhiskerSpec, WireFrame,
+};
 use wcal_map::MapArtefact;
 use wcal_session::LoadedSession;
 use wcal_trace::scalar::ScalarModel;
@@ -54,7 +56,7 @@ impl std::ops::Deref for CalibrationModel {
     }
 }
 
-/// A calibration with its content hash; `whisker` is the wire that it was made with, `contact` what its uncertainty makes of a contact.
+/// A calibration with its content hash; `wire`: of a whisker, what it was made with.
 ///
 /// # Errors
 /// Where the model cannot be written as JSON.
@@ -64,9 +66,10 @@ pub fn seal(
     expires: Option<String>,
     model: CalibrationModel,
     provenance: Provenance,
-    whisker: Option<&WhiskerSpec>,
-    contact: Option<CalibrationContact>,
+    wire: Option<WireParts<'_>>,
 ) -> Result<CalibrationFile<CalibrationModel>, serde_json::Error> {
+    let noise = wire.as_ref().and_then(|_| Some(model.whisker()?.noise()));
+    let noise = serde_json::from_str(&serde_json::to_string(&noise)?)?;
     let mut file = CalibrationFile {
         format: CALIBRATION_FORMAT.to_owned(),
         session: session.to_owned(),
@@ -75,12 +78,35 @@ pub fn seal(
         // Through JSON once, so that the hash is that of what is written.
         model: serde_json::from_str(&serde_json::to_string(&model)?)?,
         provenance,
-        whisker: whisker.cloned(),
-        contact_uncertainty: serde_json::from_str(&serde_json::to_string(&contact)?)?,
+        whisker: wire.as_ref().map(|w| w.whisker.clone()),
+        frame: wire.as_ref().map(|w| frame(w.whisker, w.moments)),
+        noise,
+        contact_uncertainty: serde_json::from_str(&serde_json::to_string(&wire.and_then(|w| w.contact))?)?,
         content_sha256: String::new(),
     };
     file.content_sha256 = file.compute_hash()?;
     Ok(file)
+}
+
+/// What a whisker's calibration was made with.
+#[derive(Debug, Clone)]
+pub struct WireParts<'a> {
+    /// Wire.
+    pub whisker: &'a WhiskerSpec,
+    /// Moment components.
+    pub moments: &'a MomentAxes,
+    /// What its uncertainty makes of a contact.
+    pub contact: Option<CalibrationContact>,
+}
+
+/// What a calibration says of the frame of its session.
+fn frame(whisker: &WhiskerSpec, axes: &MomentAxes) -> CalibrationFrame {
+    CalibrationFrame {
+        rest_shape: whisker.rest_shape.clone(),
+        moment_axes: axes.axes,
+        moment_sign: axes.sign,
+        sweep_direction: WireFrame::new(whisker, axes).ok().map(|frame| frame.sweep_direction()),
+    }
 }
 
 /// Numbers that a calibration may hold; what a model's own parameters can be, the model says.
@@ -138,6 +164,16 @@ pub fn read_unsealed(
     file.model.check().map_err(|e| CalibrationError::content(path, e))?;
     if let Some(whisker) = &file.whisker {
         whisker.check().map_err(|e| CalibrationError::content(path, format!("whisker.{e}")))?;
+    }
+    if let Some(frame) = &file.frame {
+        let unit = frame.moment_axes.iter().all(|a| (a.norm() - 1.0).abs() < 1e-3);
+        if !unit || frame.moment_sign.abs() != 1.0 {
+            let found = format!("{:?}, {}", frame.moment_axes, frame.moment_sign);
+            let detail = format!(
+                "frame.moment_axes, frame.moment_sign: expected two unit vectors and 1 or -1, found {found}"
+            );
+            return Err(CalibrationError::content(path, detail));
+        }
     }
     Ok((file, changed))
 }

@@ -19,7 +19,9 @@ pub use apply::{
     AppliedTable, Calibration, MomentRow, MomentTable, SensedRow, SensedTable, SessionSystem,
     WhiskerCalibration,
 };
-pub use artefact::{CalibrationModel, of_whisker, provenance, read_calibration, read_unsealed, seal};
+pub use artefact::{
+    CalibrationModel, WireParts, of_whisker, provenance, read_calibration, read_unsealed, seal,
+};
 pub use error::CalibrationError;
 pub use given::GivenCalibration;
 pub use trust::standing;

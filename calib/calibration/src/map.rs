@@ -7,7 +7,7 @@ use crate::apply::{
 use crate::error::CalibrationError;
 use std::path::Path;
 use wcal_core::stream::MomentStream;
-use wcal_core::{FbgSpec, WhiskerSpec};
+use wcal_core::{CalibrationNoise, FbgSpec, WhiskerSpec};
 use wcal_map::{MapArtefact, MapPredictor, OutputMap};
 use wcal_session::load_table;
 use wcal_trace::verify::judgement::Judged;
@@ -80,6 +80,17 @@ impl WhiskerCalibration for MapArtefact {
     /// The larger one of its two moments.
     fn noise_sd_nmm(&self) -> f64 {
         self.outputs.iter().map(OutputMap::noise_sd_nmm).fold(0.0, f64::max)
+    }
+
+    fn noise(&self) -> CalibrationNoise {
+        let misfit = |o: &OutputMap, reading: f64| {
+            (o.inflation.powi(2) * o.noise_sd_nmm().powi(2) - reading.powi(2)).max(0.0).sqrt()
+        };
+        let reading = self.reading_sd_nmm;
+        let [a, b] = [0, 1].map(|k| misfit(&self.outputs[k], reading.map_or(0.0, |sd| sd[k])));
+        // Without repeats or samples nobody knows what of the rest is noise.
+        let misfit_sd_nmm = reading.map(|_| [a, b]);
+        CalibrationNoise { reading_sd_nmm: reading, drift_sd_nmm: None, misfit_sd_nmm }
     }
 
     fn moments(&self, table: &Path) -> Result<MomentTable, CalibrationError> {

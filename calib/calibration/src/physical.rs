@@ -7,7 +7,7 @@ use crate::apply::{
 use crate::error::CalibrationError;
 use std::path::Path;
 use wcal_core::stream::MomentStream;
-use wcal_core::{FbgSpec, MomentAxes, WhiskerRow, WhiskerSpec};
+use wcal_core::{CalibrationNoise, FbgSpec, MomentAxes, WhiskerRow, WhiskerSpec};
 use wcal_session::{SessionWarning, load_table};
 use wcal_trace::verify::judgement::Judged;
 use wcal_trace::whisker::groove_motion::{self, AcceptedWire, GrooveMotion};
@@ -72,6 +72,20 @@ impl WhiskerCalibration for PhysicalModel {
     /// Through the direction that the gratings see least.
     fn noise_sd_nmm(&self) -> f64 {
         self.noise_sd_pm / self.sensitivity().singular_values().min().max(1e-9)
+    }
+
+    /// K^-1 s, s the noise of the shifts; what is correlated in time is the drift.
+    fn noise(&self) -> CalibrationNoise {
+        let inverse = self.sensitivity().try_inverse();
+        let through = |sd_pm: f64| {
+            let nmm2 = inverse.map(|k| k * k.transpose() * sd_pm.powi(2))?;
+            Some([0, 1].map(|c| nmm2[(c, c)].max(0.0).sqrt()))
+        };
+        CalibrationNoise {
+            reading_sd_nmm: through(self.correlated_noise.map_or(self.noise_sd_pm, |c| c.own_sd_pm)),
+            drift_sd_nmm: self.correlated_noise.and_then(|c| through(c.sd_pm)),
+            misfit_sd_nmm: None,
+        }
     }
 
     fn moments(&self, table: &Path) -> Result<MomentTable, CalibrationError> {

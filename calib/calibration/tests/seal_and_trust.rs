@@ -27,7 +27,7 @@ fn line() -> CalibrationModel {
 
 fn sealed(verification: VerificationStatus, expires: Option<&str>) -> CalibrationFile<CalibrationModel> {
     let made = Provenance { inputs: Vec::new(), ..provenance(&load_cell(), 7) };
-    seal("cell-1", verification, expires.map(str::to_owned), line(), made, None, None).unwrap()
+    seal("cell-1", verification, expires.map(str::to_owned), line(), made, None).unwrap()
 }
 
 fn written(
@@ -149,8 +149,7 @@ fn a_calibration_is_not_judged_on_the_readings_of_its_own_fit() {
     let path = written(folder.path(), &sealed(VerificationStatus::Verified, None), |_| ());
     assert!(GivenCalibration::read(&path, &session).is_ok());
     let own =
-        seal("pontius", VerificationStatus::Verified, None, line(), provenance(&session, 7), None, None)
-            .unwrap();
+        seal("pontius", VerificationStatus::Verified, None, line(), provenance(&session, 7), None).unwrap();
     let refused = GivenCalibration::read(&written(folder.path(), &own, |_| ()), &session).err().unwrap();
     assert!(refused.to_string().contains("found only those that it was fitted to"), "{refused}");
 }

@@ -68,7 +68,8 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     let mut points = "point,t_s,fbg_1_shift_nm,fbg_2_shift_nm,base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz\n".to_owned();
     for (k, r) in readings.iter().enumerate() {
         let [a, b] = r.shift_nm;
-        writeln!(points, "{k},{:.6},{a:.9},{b:.9},0,0,{:.6},1,0,0,0", r.t_s, r.way_mm)?;
+        // In the frame of the release the arm goes along +x.
+        writeln!(points, "{k},{:.6},{a:.9},{b:.9},{:.6},0,0,1,0,0,0", r.t_s, r.way_mm)?;
     }
 
     let folder = args.out.file_name().map(|n| n.to_string_lossy().into_owned());

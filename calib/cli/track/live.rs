@@ -1,17 +1,13 @@
 //! Tracks of a stream: live from the interrogator, or replayed from recordings.
 
 use super::feed::{Intake, Item};
-use super::groove::known_places;
-use super::output::{FORMAT, TrackFiles};
 use super::recorded_motion::{recorded_motion, session_folder};
-use super::trust::WhiskerModel;
-use super::whiskers::{Whiskers, lost_text};
-use super::{Outcome, TrackArgs, exit_code, refuse_surface};
+use super::surface::write_surface;
+use super::{TrackArgs, accuracy, output, refuse_surface};
 use crate::interrupt;
 use crate::progress::Progress;
 use crate::simulated::is_simulated;
 use anyhow::{Result, anyhow, bail};
-use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -26,6 +22,12 @@ use wcal_acquisition::recorder::{LiveView, Recorder};
 use wcal_acquisition::replay::{Message, read};
 use wcal_acquisition::rig::Rig;
 use wcal_acquisition::tracks::TrackChannels;
+use wcal_contact::groove_table::known_places;
+use wcal_contact::stream_track::{StreamFindings, StreamSettings, StreamTracks, lost_text};
+use wcal_contact::track_document::{TRACK_FORMAT, TrackDocument, TrackSource};
+use wcal_contact::track_table::TrackFiles;
+use wcal_contact::trust::WhiskerModel;
+use wcal_contact::whisker_track::{Outcome, WhiskerTrack};
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceError, DeviceErrorKind, FbgReading};
@@ -53,7 +55,7 @@ impl Sinks {
     fn open(
         args: &TrackArgs,
         rig_place: &str,
-        whiskers: &Whiskers<'_>,
+        whiskers: &StreamTracks<'_>,
         loaded: &[WhiskerModel<'_>],
     ) -> Result<Self> {
         let recorder = match (&args.mcap, args.live) {
@@ -92,16 +94,17 @@ fn by_simulation(loaded: &[WhiskerModel<'_>]) -> bool {
 fn about(
     args: &TrackArgs,
     rig_place: &str,
-    whiskers: &Whiskers<'_>,
+    whiskers: &StreamTracks<'_>,
     loaded: &[WhiskerModel<'_>],
 ) -> BTreeMap<String, String> {
-    let facts = whiskers.summary();
+    let facts = whiskers.findings(None, 0).document;
+    let text = |value: serde_json::Result<String>| value.unwrap_or_default();
     let mut all = BTreeMap::from([
-        ("format".to_owned(), FORMAT.to_owned()),
+        ("format".to_owned(), TRACK_FORMAT.to_owned()),
         ("program".to_owned(), format!("wcal {}", env!("CARGO_PKG_VERSION"))),
         ("rig".to_owned(), rig_place.to_owned()),
-        ("lag_s".to_owned(), facts["lag_s"].to_string()),
-        ("filter".to_owned(), facts["filter"].to_string()),
+        ("lag_s".to_owned(), text(serde_json::to_string(&facts.lag_s))),
+        ("filter".to_owned(), text(serde_json::to_string(&facts.filter))),
         ("rate_hz".to_owned(), args.rate_hz.to_string()),
         ("calibration_simulated".to_owned(), by_simulation(loaded).to_string()),
     ]);
@@ -129,12 +132,12 @@ pub fn replay(
 ) -> Result<ExitCode> {
     refuse_surface(args, rig.base.is_some())?;
     let log = recorded_motion(args, parts)?;
-    let mut whiskers = Whiskers::new(args, (place, rig), loaded, log)?;
+    let mut whiskers = StreamTracks::new(settings(args), (place, rig), loaded, log)?;
     if let Some((table, whisker)) = session_folder(args).and_then(session_points) {
         whiskers.know_groove(&known_places(&table)?, whisker.as_deref());
     }
     let sinks = Sinks::open(args, place, &whiskers, loaded)?;
-    let mut files = TrackFiles::create(&args.out, true)?;
+    let mut files = output::create(&args.out, true)?;
     let mut cut_off = Vec::new();
     let start = Instant::now();
     let progress = Progress::new("track");
@@ -178,7 +181,7 @@ pub fn replay(
         })?;
         if let Some(error) = failed {
             files.flush()?;
-            return Err(error.context(part.display().to_string()));
+            return Err(anyhow!(error).context(part.display().to_string()));
         }
         if scans == 0 && !ended {
             return Err(anyhow!("{}: expected scans of an interrogator, found none", part.display()));
@@ -190,8 +193,8 @@ pub fn replay(
     }
     drop(progress);
     let simulated = parts.iter().any(|part| is_simulated(part)) || by_simulation(loaded);
-    let more = json!({"source": parts, "simulated": simulated, "cut_off": cut_off, "dropped_scans": 0});
-    conclude(args, whiskers, sinks, files, more, (0, !cut_off.is_empty()))
+    let source = TrackSource::Recordings(parts.to_vec());
+    conclude(args, whiskers, sinks, files, (source, simulated), (0, Some(cut_off)))
 }
 
 /// Tracks the rig's interrogator until Ctrl-C, the end of the time or a fault.
@@ -206,13 +209,13 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
             log.display()
         );
     }
-    let mut whiskers = Whiskers::new(args, (place, rig), loaded, None)?;
+    let mut whiskers = StreamTracks::new(settings(args), (place, rig), loaded, None)?;
     let clock = HostClock::start(rig.clock_scale);
     let interrupt = interrupt::watch()?;
     let mut interrogator = open_interrogator(&mut Drivers::new(&interrupt), &rig.interrogator, clock)?;
     let identity = interrogator.identity()?;
     let sinks = Sinks::open(args, place, &whiskers, loaded)?;
-    let mut files = TrackFiles::create(&args.out, true)?;
+    let mut files = output::create(&args.out, true)?;
     let done = AtomicBool::new(false);
     let (intake, receiver) = Intake::new(args.queue, sinks.recorder.clone());
     let carried = rig.base.as_ref().is_some_and(|b| b.carried_along.is_some());
@@ -232,7 +235,6 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
     drop(intake);
     let simulated = identity.is_virtual() || by_simulation(loaded);
     let source = format!("{} {} {}", identity.driver, identity.model, identity.serial);
-    let more = json!({"source": source, "simulated": simulated, "dropped_scans": dropped});
     if let Some(signal) = interrupt.signal() {
         eprintln!(
             "Interrupted by {}; what was tracked until then is written to {}",
@@ -240,7 +242,8 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
             args.out.display()
         );
     }
-    let code = conclude(args, whiskers, sinks, files, more, (dropped, false))?;
+    let source = (TrackSource::Device(source), simulated);
+    let code = conclude(args, whiskers, sinks, files, source, (dropped, None))?;
     failed.map(|()| code)
 }
 
@@ -317,7 +320,7 @@ fn watch_stage(rig: &Rig, clock: HostClock, intake: &Intake, interrupt: &Interru
 }
 
 /// Whether the time that was asked for is over.
-fn over(args: &TrackArgs, whiskers: &Whiskers<'_>, reading: &FbgReading) -> bool {
+fn over(args: &TrackArgs, whiskers: &StreamTracks<'_>, reading: &FbgReading) -> bool {
     args.seconds.is_some_and(|s| whiskers.elapsed_s(reading) >= s) && !whiskers.doubts_clock()
 }
 
@@ -325,7 +328,7 @@ fn over(args: &TrackArgs, whiskers: &Whiskers<'_>, reading: &FbgReading) -> bool
 fn consume(
     args: &TrackArgs,
     receiver: &Receiver<Item>,
-    whiskers: &mut Whiskers<'_>,
+    whiskers: &mut StreamTracks<'_>,
     files: &mut TrackFiles,
     channels: Option<&TrackChannels>,
     ends: &dyn Fn() -> bool,
@@ -360,30 +363,20 @@ fn consume(
 /// Summary, files, exit code.
 fn conclude(
     args: &TrackArgs,
-    mut whiskers: Whiskers<'_>,
+    mut whiskers: StreamTracks<'_>,
     sinks: Sinks,
-    files: TrackFiles,
-    more: Value,
-    (dropped, cut_off): (u64, bool),
+    mut files: TrackFiles,
+    (source, simulated): (TrackSource, bool),
+    (dropped, cut_off): (u64, Option<Vec<String>>),
 ) -> Result<ExitCode> {
-    whiskers.end();
-    let mut summary = json!({
-        "format": FORMAT, "out": args.out, "mcap": args.mcap, "rate_hz": args.rate_hz, "prefix_s": args.prefix_s,
-        "false_alarms_per_hour": args.false_alarms_per_hour,
-    });
-    if let Some(all) = summary.as_object_mut() {
-        for part in [more, whiskers.summary()] {
-            all.extend(part.as_object().cloned().unwrap_or_default());
-        }
-    }
-    if let Some(motion) = whiskers.motion_summary() {
-        summary["stream_motion"] = motion;
-    }
-    let (outside, lost, doubtful) = (whiskers.outside(), whiskers.lost(), whiskers.doubtful());
-    if summary["simulated"] == true {
+    whiskers.end(&mut files)?;
+    let is_cut_off = cut_off.as_ref().is_some_and(|parts| !parts.is_empty());
+    let StreamFindings { document, messages, outcome } = whiskers.findings(cut_off, dropped);
+    if simulated {
         eprintln!("track: SIMULATED: the readings or the calibration are not measured");
     }
-    eprintln!("track: lag {} s: t_s is the time of validity", summary["lag_s"]);
+    eprintln!("track: lag {} s: t_s is the time of validity", document.lag_s.unwrap_or_default());
+    let outside: u64 = document.whiskers.iter().map(|w| w.rows.outside_valid_region).sum();
     if outside > 0 {
         eprintln!("{outside} rows lie outside the valid region; marked in outside_valid_region");
     }
@@ -391,22 +384,48 @@ fn conclude(
         let whose = if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
         eprintln!("warning: {whose}no quiet prefix of {} s: no events were detected", args.prefix_s);
     }
-    let loss = lost_text(lost, dropped);
+    let loss = lost_text(whiskers.lost(), dropped);
     if let Some(loss) = &loss {
         eprintln!("warning: {loss}");
     }
     for fault in whiskers.clock_faults() {
         eprintln!("warning: interrogator: {fault}");
     }
-    whiskers.say_doubts();
-    if args.surface {
-        summary["surface"] = whiskers.surface(&args.out)?;
+    messages.iter().for_each(|line| eprintln!("{line}"));
+    let histories: Vec<_> = whiskers.tracks().map(WhiskerTrack::history).collect();
+    let document = TrackDocument {
+        format: TRACK_FORMAT,
+        source,
+        simulated,
+        out: args.out.clone(),
+        table: None,
+        stream: Some(document),
+        surface: args.surface.then(|| write_surface(&args.out, &histories)).transpose()?,
+    };
+    let text = files.finish(&document)?;
+    if args.json {
+        println!("{text}");
     }
-    files.finish(&summary, args.json)?;
     sinks.finish()?;
-    let [untrained, misstated] = doubtful;
-    let lost = loss.is_some() || cut_off || !whiskers.clock_faults().is_empty();
-    Ok(exit_code(args, Outcome { outside: outside > 0, misstated, lost, untrained }))
+    let lost = loss.is_some() || is_cut_off || !whiskers.clock_faults().is_empty();
+    let outcome = outcome.and(Outcome { lost, ..Outcome::default() });
+    Ok(ExitCode::from(outcome.exit_code(args.force)))
+}
+
+/// What the arguments say of a stream.
+fn settings(args: &TrackArgs) -> StreamSettings {
+    StreamSettings {
+        rate_hz: args.rate_hz,
+        lag_s: args.lag_s,
+        prefix_s: args.prefix_s,
+        false_alarms_per_hour: args.false_alarms_per_hour,
+        tare_s: args.tare_s,
+        object_class: args.object_class.clone(),
+        base_mm_s: args.base_mm_s,
+        vouched: args.sweep,
+        accuracy: accuracy(args),
+        mcap: args.mcap.clone(),
+    }
 }
 
 /// Table of a session's points, and whose whisker's session it is; none where the folder is no reduced session.

@@ -4,8 +4,8 @@ use crate::import::SweepFolder;
 use anyhow::Result;
 use nalgebra::Vector3;
 use std::path::Path;
+use wcal_contact::mesh_score::{MeshScore, mesh_score};
 use wcal_sim::Mesh;
-use wcal_track::mesh_score::{MeshScore, mesh_score};
 
 /// Score of contact points in the frame of the base's poses, mm; none for a table of another kind, or with too few.
 ///

@@ -1,11 +1,11 @@
 //! The motion that goes with a recording: a log of `--motion`, checked against the recording's clock before anything is tracked.
 
 use super::TrackArgs;
-use super::motion_log::{LoggedMotion, read};
 use anyhow::{Context, Result};
 use std::path::{Path, PathBuf};
 use wcal_acquisition::replay::{self, Message};
-use wcal_track::known_motion::MotionLog;
+use wcal_contact::known_motion::MotionLog;
+use wcal_contact::motion_table::{LoggedMotion, read};
 
 /// The session whose recording is tracked: the folder that was named, or without a network the one that the recording lies in.
 pub fn session_folder(args: &TrackArgs) -> Option<&Path> {

@@ -1,217 +1,227 @@
-//! Tracks of a table of readings.
+//! Tracks of a table or of a session, whatever locates the contacts.
 
-use super::groove::known_places;
-use super::motion;
-use super::motion_log::is_motion_column;
 use super::object::{object_score, say_object_score};
-use super::output::{FORMAT, TrackFiles, TrackRow};
 use super::surface::write_surface;
-use super::trust::WhiskerModel;
-use super::{Outcome, TrackArgs, exit_code, refuse_surface};
+use super::{TrackArgs, accuracy, output, refuse_surface};
+use crate::import::SweepFolder;
 use crate::simulated::is_simulated;
-use anyhow::{Context, Result, bail};
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use serde_json::json;
-use std::collections::HashMap;
+use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
 use std::process::ExitCode;
-use wcal_calibration::{MomentRow, MomentTable};
-use wcal_core::FbgSpec;
-use wcal_core::stream::{Flags, StreamMoments};
-use wcal_session::{SessionWarning, TextTable, TextTableLayout, WarningKind, read_text_table};
-use wcal_track::known_groove::{KnownGroove, velocities};
-use wcal_track::row_tracker::{RowInput, RowTracker};
-use wcal_track::stream::BasePose;
+use wcal_contact::estimator::Estimator;
+use wcal_contact::known_groove::KnownGroove;
+use wcal_contact::known_motion_table::KnownMotionTable;
+use wcal_contact::moments_alone::MomentsAlone;
+use wcal_contact::motion_table::{LoggedMotion, has_motion, read};
+use wcal_contact::reading::Reading;
+use wcal_contact::session_groove::{moment_field, session_readings, without_groove};
+use wcal_contact::table_source::TableSource;
+use wcal_contact::track_document::{LogDocument, TRACK_FORMAT, TableDocument, TrackDocument, TrackSource};
+use wcal_contact::trust::WhiskerModel;
+use wcal_contact::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
+use wcal_core::observation::MomentAxes;
+use wcal_core::verify_document::GrooveTracking;
+use wcal_core::{SessionData, WhiskerData, WhiskerRow, WireFrame};
+use wcal_trace::whisker::WhiskerSystem;
 
-/// A step this many times the median is a gap.
-const GAP_STEPS: f64 = 4.0;
-
-/// Median time between the rows of a table, s; none without times.
-///
-/// # Errors
-/// Where the table cannot be read.
-pub fn median_step_s(path: &Path) -> Result<Option<f64>> {
-    let table = read_text_table(path, &TextTableLayout::default())?;
-    let Ok(column) = table.column("t_s") else { return Ok(None) };
-    let times: Vec<f64> = (0..table.rows.len())
-        .map(|k| table.number(k, column))
-        .collect::<Result<Vec<_>, _>>()?
-        .into_iter()
-        .flatten()
-        .collect();
-    Ok(median(times.windows(2).map(|w| w[1] - w[0]).collect()))
+/// Readings and what locates their contacts.
+pub struct Prepared<'a> {
+    readings: Vec<Reading>,
+    frame: WireFrame,
+    estimator: Box<dyn Estimator + 'a>,
+    /// Contacts have intervals: each reading knows of those before it.
+    followed: bool,
+    groove: Option<KnownGroove>,
+    log: Option<LogDocument>,
+    groove_tracking: Option<Option<GrooveTracking>>,
+    simulated: bool,
 }
 
-fn median(mut steps: Vec<f64>) -> Option<f64> {
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).copied()
+/// A whisker session that is tracked along the known way of its groove.
+pub struct TrackedFolder {
+    data: WhiskerData,
+    simulated: bool,
+    /// Its whisker.
+    pub whisker: wcal_core::WhiskerSpec,
 }
 
-/// Tracks the readings of a table.
+/// Loads a session.
 ///
 /// # Errors
-/// Where the table cannot be used, or a row has no time.
-pub fn track(args: &TrackArgs, path: &Path, loaded: &WhiskerModel<'_>) -> Result<ExitCode> {
-    let calibration = loaded.calibration()?;
-    let MomentTable { rows, warnings } =
-        calibration.moments(path).with_context(|| loaded.place.display().to_string())?;
-    let of_motion =
-        |w: &SessionWarning| matches!(&w.kind, WarningKind::UnknownColumn(c) if is_motion_column(c));
-    for warning in warnings.iter().filter(|w| !of_motion(w)) {
+/// Where it is none of a whisker, or the zero would be taken off twice.
+pub fn load_session(args: &TrackArgs, folder: &Path) -> Result<TrackedFolder> {
+    // Each mounting has the zero that its rest readings and the calibration give.
+    if args.tare_s != 0.0 {
+        bail!(
+            "--tare-s: expected a table or a stream, found the session folder {}: its zero is that of its rest readings",
+            folder.display()
+        );
+    }
+    let session = wcal_session::load(folder)?;
+    let SessionData::Whisker(data) = session.data else {
+        bail!("{}: expected a whisker session, found another kind", folder.display());
+    };
+    let whisker = data.whisker.clone();
+    Ok(TrackedFolder { data, simulated: session.simulated, whisker })
+}
+
+/// The readings of a session; the groove's place is looked at after every answer.
+///
+/// # Errors
+/// Where the session does not say how the groove moves, or the calibration gives no moments for it.
+pub fn of_session<'a>(session: &TrackedFolder, loaded: &'a WhiskerModel<'a>) -> Result<Prepared<'a>> {
+    // From here on nobody knows where the groove is.
+    let blind = without_groove(&session.data)?;
+    let rows: Vec<&WhiskerRow> = blind.rows.iter().collect();
+    let system = WhiskerSystem::new(&blind, &rows)?;
+    let motion = loaded.calibration()?.groove_motion(&system).ok_or_else(|| {
+        anyhow!("{}: the calibration gives no moments for this session", loaded.place.display())
+    })?;
+    let (readings, mut estimator) = session_readings(&system, motion)?;
+    let known = |reading: usize| session.data.rows[system.path.rows[reading]].groove_mm;
+    let groove_tracking = Some(estimator.compare(&system, known)?);
+    Ok(Prepared {
+        readings,
+        // The session's own frame, which the estimator knows.
+        frame: WireFrame::default(),
+        estimator: Box::new(estimator),
+        followed: false,
+        groove: None,
+        log: None,
+        groove_tracking,
+        simulated: session.simulated,
+    })
+}
+
+/// The readings of a table: by the network where there is one, else along the motion of `--motion` or of the table's own columns, else by
+/// the moments alone.
+///
+/// # Errors
+/// Where table, motion or calibration cannot be used.
+pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>) -> Result<Prepared<'a>> {
+    let (frame, whisker) = (loaded.frame()?, loaded.whisker()?);
+    let source = TableSource::read(path, loaded.calibration()?, &whisker)
+        .with_context(|| loaded.place.display().to_string())?;
+    for warning in &source.warnings {
         eprintln!("warning: {warning}");
     }
-    let fbg = calibration.fbg();
-    check(path, &rows, fbg)?;
-    let poses = base_poses(path)?;
-    refuse_surface(args, !poses.is_empty())?;
-    let places = known_places(path)?;
-    let step_s = median(rows.windows(2).filter_map(|w| Some(w[1].t_s? - w[0].t_s?)).collect());
-    let past_groove = velocities(&places, GAP_STEPS * step_s.unwrap_or_default());
-    let doubts = loaded.doubts.codes();
-    let mut files = TrackFiles::create(&args.out, false)?;
-    let found = loaded.row_tracker("", args.sweep, args.tare_s);
-    let (Some(mut tracker), Some(card)) = (found, loaded.network.as_ref().map(|n| &n.card)) else {
-        bail!("--model: expected one, found none");
+    let groove = KnownGroove::new(source.places.clone(), &whisker);
+    let simulated = is_simulated(path);
+    let base_from_wire = frame.rotation().inverse();
+    let prepared = move |readings, estimator: Box<dyn Estimator + 'a>, followed, log| {
+        let groove_tracking = None;
+        Prepared { readings, frame, estimator, followed, groove, log, groove_tracking, simulated }
     };
-    tracker.groove = KnownGroove::new(places, &card.whisker);
-    let mut last: Option<(f64, Option<BasePose>)> = None;
-    let (mut outside, mut flagged, mut unusable) = (0_u64, 0_u64, 0_u64);
-    for m in &rows {
-        let (t_s, line) = (m.t_s.unwrap_or_default(), m.line);
-        let mut flags = Flags::default();
-        if last.zip(step_s).is_some_and(|((before, _), step)| t_s - before > GAP_STEPS * step) {
-            // What happened in between is not known: the tracker starts anew.
-            flags = flags.with(Flags::GAP);
-            tracker.restart();
-            tracker.history.gap();
-        }
-        if fbg.needs_reference() && !m.reference {
-            flags = flags.with(Flags::REFERENCE_LOST);
-        }
-        let base = poses.get(&m.line).copied();
-        let velocity = last.and_then(|(before, old)| velocity_mm_s(&old?, &base?, t_s - before));
-        let base = base.map(|b| BasePose { velocity_mm_s: velocity, ..b });
-        let base_mm_s = velocity.map(|v| v.z).or(args.base_mm_s);
-        last = Some((t_s, base));
-        let usable = !flags.has(Flags::REFERENCE_LOST);
-        let moments =
-            usable.then_some(StreamMoments { moment_nmm: m.moment_nmm, sd_nmm: m.sd_nmm, valid: m.valid });
-        let known = velocity.or(past_groove.get(&line).copied());
-        let velocity_mm_s = known.or(args.base_mm_s.map(|v| Vector3::z() * v));
-        let row = tracker.push(&RowInput { t_s, moments, base, base_mm_s, velocity_mm_s });
-        let flags = flags.with(row.flags);
-        outside += u64::from(usable && !m.valid);
-        flagged += u64::from(!flags.none());
-        unusable += u64::from(!usable);
-        files.row(&TrackRow {
-            point: m.point,
-            t_s,
-            whisker: "",
-            flags,
-            doubts: &doubts,
-            moments: row.moments,
-            answer: row.answer.as_ref(),
-            base_mm_s,
-            base,
-            touching: None,
-            segment: row.segment,
-            regions: &row.regions,
-            several: row.several,
-        })?;
+    if let Some(network) = loaded.estimator(args.sweep) {
+        return Ok(prepared(source.past_object(args.base_mm_s)?, Box::new(network), true, None));
     }
-    let RowTracker { motion: motions, history: found, groove, several_rows, .. } = tracker;
-    let simulated = is_simulated(path) || loaded.file.provenance.simulated;
-    if simulated {
+    if args.motion.is_none() && !has_motion(path)? {
+        return Ok(prepared(source.alone(), Box::new(MomentsAlone::new(&whisker)), false, None));
+    }
+    let file = args.motion.as_deref().unwrap_or(path);
+    let logged = read(file, args.motion_offset_s)?;
+    if let Some(span_s) = source.span_s() {
+        logged.log.check_clock(span_s).with_context(|| file.display().to_string())?;
+    }
+    for line in logged.log.jumps() {
+        eprintln!(
+            "{}: line {line}: the motion jumps; contacts before and after are tracked separately",
+            file.display()
+        );
+    }
+    let axes = MomentAxes::default();
+    let field = moment_field(&source.wire, &axes)
+        .with_changed(source.changed.iter().map(|w| moment_field(w, &axes)).collect());
+    let readings = source.along(&logged, &(base_from_wire * field.free(0.5 * field.length_mm()).0));
+    let over_object = path.parent().and_then(SweepFolder::of).is_some();
+    let estimator = KnownMotionTable::new(field, &whisker, accuracy(args), over_object);
+    Ok(prepared(readings, Box::new(estimator), false, Some(log_document(args, file, &logged))))
+}
+
+fn log_document(args: &TrackArgs, file: &Path, logged: &LoggedMotion) -> LogDocument {
+    LogDocument {
+        file: file.to_owned(),
+        span_s: logged.log.span_s(),
+        offset_s: args.motion_offset_s,
+        lost_rows: Default::default(),
+        jump_lines: logged.log.jumps().collect(),
+    }
+}
+
+/// Tracks readings: rows as they settle, then the summary.
+///
+/// # Errors
+/// Where a reading cannot be used, or the disk takes no more.
+pub fn track(
+    args: &TrackArgs,
+    source: &Path,
+    of: Prepared<'_>,
+    loaded: &WhiskerModel<'_>,
+) -> Result<ExitCode> {
+    refuse_surface(args, of.readings.iter().any(|r| r.base.is_some()))?;
+    let facts = WhiskerFacts {
+        name: String::new(),
+        doubt_codes: loaded.doubts.codes(),
+        doubts: loaded.doubts.messages(),
+        calibration_sha256: loaded.file.content_sha256.clone(),
+    };
+    let mut track = WhiskerTrack::new(facts, (of.frame, of.estimator), args.tare_s, of.followed);
+    track.know_groove(of.groove);
+    let mut files = output::create(&args.out, false)?;
+    let mut unusable = 0;
+    for reading in of.readings {
+        unusable += u64::from(reading.moments.is_none());
+        for row in track.push(reading)? {
+            files.row(&row)?;
+        }
+    }
+    for row in track.finish()? {
+        files.row(&row)?;
+    }
+
+    let found = track.findings();
+    let (mut whisker, mut log) = (found.document, of.log);
+    if let (Some(log), Some(lost)) = (&mut log, whisker.estimator.lost_rows.take()) {
+        unusable += lost.values().sum::<u64>();
+        log.lost_rows = lost;
+    }
+    let [rows, outside, flagged] = [whisker.rows, whisker.outside_valid_region, whisker.flagged_rows];
+    let on_object = object_score(source, &track.history().contacts_mm())?;
+    let document = TrackDocument {
+        format: TRACK_FORMAT,
+        source: TrackSource::File(source.to_owned()),
+        simulated: of.simulated || loaded.file.provenance.simulated,
+        out: args.out.clone(),
+        table: Some(TableDocument {
+            lag_s: 0.0,
+            tare_s: of.groove_tracking.is_none().then_some(args.tare_s),
+            object_class: args.object_class.clone(),
+            unusable_rows: unusable,
+            motion: log,
+            object: on_object,
+            groove_tracking: of.groove_tracking,
+            whisker,
+        }),
+        stream: None,
+        surface: args.surface.then(|| write_surface(&args.out, &[track.history()])).transpose()?,
+    };
+    if document.simulated {
         eprintln!("track: SIMULATED: the readings or the calibration are not measured");
     }
-    let mut summary = json!({
-        "format": FORMAT, "source": path, "simulated": simulated, "out": args.out, "rows": rows.len(), "flagged_rows": flagged, "unusable_rows": unusable,
-        "outside_valid_region": outside, "doubts": loaded.doubts.messages(), "lag_s": 0.0, "tare_s": args.tare_s,
-        "object_class": args.object_class,
-        "calibration_sha256": loaded.file.content_sha256, "model_sha256": card.weights_sha256,
-        "trained_on_simulation": card.trained_on_simulation,
-        "segments": found.segments(), "untrained_motion": motion::summary(&motions), "known_groove": groove.as_ref().and_then(KnownGroove::summary),
-        "several_contacts": motion::several_summary(several_rows),
-    });
-    let on_object = object_score(path, &found.contacts_mm())?;
-    summary["object"] = json!(on_object);
-    if args.surface {
-        summary["surface"] = write_surface(&args.out, &[&found])?;
+    let text = files.finish(&document)?;
+    if args.json {
+        println!("{text}");
     }
-    files.finish(&summary, args.json)?;
     if outside > 0 {
         eprintln!(
-            "{outside} of {} readings lie outside the valid region; marked in outside_valid_region",
-            rows.len()
+            "{outside} of {rows} readings lie outside the valid region; marked in outside_valid_region"
         );
     }
     if flagged > 0 {
-        eprintln!("{flagged} of {} rows are flagged in status", rows.len());
+        eprintln!("{flagged} of {rows} rows are flagged in status");
     }
     say_object_score(on_object.as_ref());
-    motion::say(&motions, "", rows.len() as u64);
-    motion::say_several("", several_rows);
-    if let Some(said) = groove.as_ref().and_then(KnownGroove::message) {
-        eprintln!("{said}");
-    }
-    let misstated = groove.as_ref().is_some_and(KnownGroove::misstated);
-    Ok(exit_code(
-        args,
-        Outcome { outside: outside > 0, misstated, lost: unusable > 0, untrained: motions.any() },
-    ))
-}
-
-/// Times that go forward, and a reference where the calibration needs one.
-fn check(path: &Path, rows: &[MomentRow], fbg: &FbgSpec) -> Result<()> {
-    let name = path.display();
-    let mut last_s = f64::NEG_INFINITY;
-    for m in rows {
-        let Some(t_s) = m.t_s else { bail!("{name}: point {}: t_s: expected a time, found none", m.point) };
-        if t_s <= last_s {
-            bail!("{name}: point {}: t_s: expected a later time than {last_s}, found {t_s}", m.point);
-        }
-        last_s = t_s;
-    }
-    if fbg.needs_reference() && !rows.iter().any(|m| m.reference) {
-        bail!(
-            "{name}: fbg_ref_nm: expected the strain-isolated grating, since the calibration compensates temperature with it; found \
-             none"
-        );
-    }
-    Ok(())
-}
-
-const POSE: [&str; 7] = ["base_x_mm", "base_y_mm", "base_z_mm", "base_qw", "base_qx", "base_qy", "base_qz"];
-
-/// Poses of the base by line, where the table has its columns.
-fn base_poses(path: &Path) -> Result<HashMap<usize, BasePose>> {
-    let table: TextTable = read_text_table(path, &TextTableLayout::default())?;
-    let present = POSE.iter().filter(|c| table.column(c).is_ok()).count();
-    if present == 0 {
-        return Ok(HashMap::new());
-    }
-    let columns = POSE.iter().map(|c| table.column(c)).collect::<Result<Vec<_>, _>>()?;
-    let mut poses = HashMap::new();
-    for (k, (line, _)) in table.rows.iter().enumerate() {
-        let values = columns.iter().map(|c| table.number(k, *c)).collect::<Result<Vec<_>, _>>()?;
-        let Some(v) = values.into_iter().collect::<Option<Vec<f64>>>() else { continue };
-        let turn = Quaternion::new(v[3], v[4], v[5], v[6]);
-        if (turn.norm() - 1.0).abs() >= 1e-3 {
-            bail!(
-                "{}: line {line}: base_qw..base_qz: expected a unit quaternion, found norm {}",
-                path.display(),
-                turn.norm()
-            );
-        }
-        let place = Translation3::new(v[0], v[1], v[2]);
-        let world_from_base = Isometry3::from_parts(place, UnitQuaternion::new_normalize(turn));
-        poses.insert(*line, BasePose { world_from_base, velocity_mm_s: None });
-    }
-    Ok(poses)
-}
-
-/// Velocity of the base between two poses, base frame, mm/s.
-fn velocity_mm_s(before: &BasePose, now: &BasePose, dt_s: f64) -> Option<Vector3<f64>> {
-    let moved = now.world_from_base.translation.vector - before.world_from_base.translation.vector;
-    (dt_s > 0.0).then(|| now.world_from_base.rotation.inverse() * moved / dt_s)
+    found.messages.iter().for_each(|m| eprintln!("{}", m.line("")));
+    let outcome = found.outcome.and(Outcome { lost: unusable > 0, ..Outcome::default() });
+    Ok(ExitCode::from(outcome.exit_code(args.force)))
 }

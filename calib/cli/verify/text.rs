@@ -1,9 +1,9 @@
 //! `predictions.csv`, and what a person reads in the terminal.
 
-use crate::known_motion::groove_sentence;
 use crate::simulated::word;
 use std::fmt::Write as _;
 use std::path::Path;
+use wcal_contact::session_groove::groove_sentence;
 use wcal_core::ResidualRecord;
 use wcal_report::ReportInput;
 use wcal_trace::scalar::ScalarData;

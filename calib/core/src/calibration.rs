@@ -1,8 +1,9 @@
 //! The calibration artefact's envelope; what lies inside belongs to the crate that fitted it.
 
-use crate::observation::WhiskerSpec;
+use crate::observation::{MomentAxes, RestShape, WhiskerSpec};
 use crate::provenance::Provenance;
 use crate::verify_document::CalibrationContact;
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 /// Format tag of `calibration.json`.
@@ -18,6 +19,39 @@ pub enum VerificationStatus {
     Verified,
     /// `verify` found it not good enough.
     Failed,
+}
+
+/// The frame of a calibration's session: how the wire lies in it, and along what its moments are components.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CalibrationFrame {
+    /// Stress-free centre line, root first, base frame.
+    pub rest_shape: RestShape,
+    /// Unit vectors of the moment components, base frame.
+    pub moment_axes: [Vector3<f64>; 2],
+    /// +1: moment = r x F acting on the base; -1: its reaction.
+    pub moment_sign: f64,
+    /// Way of the base past an object at rest that a network takes for the one of its training: against the wire's bend. Base frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sweep_direction: Option<Vector3<f64>>,
+}
+
+impl CalibrationFrame {
+    /// The moments that the calibration gives.
+    #[must_use]
+    pub fn moments(&self) -> MomentAxes {
+        MomentAxes { axes: self.moment_axes, sign: self.moment_sign }
+    }
+}
+
+/// What the errors of a calibration's moments are made of: standard deviations of the two moments, N mm; none where they are not known.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct CalibrationNoise {
+    /// Noise of a reading, of its own.
+    pub reading_sd_nmm: Option<[f64; 2]>,
+    /// Drift of the zero within a session.
+    pub drift_sd_nmm: Option<[f64; 2]>,
+    /// What the fitted law leaves of the calibration's own readings beyond their noise: an error that later readings share.
+    pub misfit_sd_nmm: Option<[f64; 2]>,
 }
 
 /// `calibration.json`.
@@ -41,8 +75,14 @@ pub struct CalibrationFile<M> {
     /// Map U to contact U, where `verify` tracked the groove; absent in older files.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact_uncertainty: Option<CalibrationContact>,
+    /// The frame of its session; absent in older files, whose moments are about y and z.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<CalibrationFrame>,
+    /// What the errors of its moments are made of; absent in older files.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise: Option<CalibrationNoise>,
     /// SHA-256 over the compact JSON of `session`, `verification`, `expires`, `model`, `provenance` and, where they are there, `whisker` and
-    /// `contact_uncertainty` (then with `null` for a whisker that is not); tampering changes it.
+    /// `contact_uncertainty` (then with `null` for a whisker that is not) and `frame` or `noise` (then with `null` for what is not); tampering changes it.
     pub content_sha256: String,
 }
 
@@ -54,12 +94,17 @@ impl<M: Serialize> CalibrationFile<M> {
     pub fn compute_hash(&self) -> Result<String, serde_json::Error> {
         let model = serde_json::to_value(&self.model)?;
         let old = (&self.session, &self.verification, &self.expires, model, &self.provenance);
-        // Files from before the whisker, and from before the contact's uncertainty, keep their hash.
-        let body = match (&self.whisker, &self.contact_uncertainty) {
-            (None, None) => serde_json::to_vec(&old)?,
-            (Some(whisker), None) => serde_json::to_vec(&(old.0, old.1, old.2, old.3, old.4, whisker))?,
-            (whisker, Some(contact)) => {
+        // Files from before the whisker, the contact's uncertainty and the frame keep their hash.
+        let body = match (&self.whisker, &self.contact_uncertainty, (&self.frame, &self.noise)) {
+            (None, None, (None, None)) => serde_json::to_vec(&old)?,
+            (Some(whisker), None, (None, None)) => {
+                serde_json::to_vec(&(old.0, old.1, old.2, old.3, old.4, whisker))?
+            }
+            (whisker, Some(contact), (None, None)) => {
                 serde_json::to_vec(&(old.0, old.1, old.2, old.3, old.4, whisker, contact))?
+            }
+            (whisker, contact, (frame, noise)) => {
+                serde_json::to_vec(&(old.0, old.1, old.2, old.3, old.4, whisker, contact, frame, noise))?
             }
         };
         Ok(crate::provenance::sha256_hex(&body))
@@ -94,6 +139,8 @@ mod tests {
             provenance: Provenance::default(),
             whisker,
             contact_uncertainty: None,
+            frame: None,
+            noise: None,
             content_sha256: String::new(),
         }
     }
@@ -155,6 +202,29 @@ mod tests {
     }
 
     #[test]
+    fn the_hash_covers_the_frame_and_that_of_older_files_stays() {
+        let old = file(Some(whisker()));
+        let text = serde_json::to_string(&old).unwrap();
+        assert!(!text.contains("frame"), "{text}");
+        let frame = CalibrationFrame {
+            rest_shape: whisker().rest_shape,
+            moment_axes: [Vector3::x(), Vector3::z()],
+            moment_sign: -1.0,
+            sweep_direction: None,
+        };
+        let with = |frame: &CalibrationFrame| CalibrationFile { frame: Some(frame.clone()), ..old.clone() };
+        let other = CalibrationFrame { moment_sign: 1.0, ..frame.clone() };
+        let hashes = [old.clone(), with(&frame), with(&other)].map(|f| f.compute_hash().unwrap());
+        assert!(hashes[0] != hashes[1] && hashes[1] != hashes[2], "{hashes:?}");
+        let noise = CalibrationNoise { reading_sd_nmm: Some([0.01, 0.02]), ..CalibrationNoise::default() };
+        let noisy = CalibrationFile { noise: Some(noise), ..with(&frame) };
+        assert_ne!(noisy.compute_hash().unwrap(), hashes[1]);
+        let again: CalibrationFile<u8> =
+            serde_json::from_str(&serde_json::to_string(&with(&frame)).unwrap()).unwrap();
+        assert_eq!(again.compute_hash().unwrap(), hashes[1]);
+    }
+
+    #[test]
     fn whiskers_differ_by_what_bends_them() {
         let own = whisker();
         assert_eq!(
@@ -168,6 +238,16 @@ mod tests {
             own.difference(&WhiskerSpec { rest_shape: bent, ..whisker() }).unwrap().contains("straight_mm")
         );
         let line = RestShape::Polyline(vec![nalgebra::Vector3::zeros(), nalgebra::Vector3::x()]);
-        assert!(own.difference(&WhiskerSpec { rest_shape: line, ..whisker() }).is_some());
+        assert!(
+            own.difference(&WhiskerSpec { rest_shape: line, ..whisker() }).unwrap().contains("length_mm")
+        );
+        // The same wire as points; and one that leans by four degrees at its root.
+        let points = RestShape::Polyline(own.rest_shape.points(0.5));
+        assert_eq!(own.difference(&WhiskerSpec { rest_shape: points, ..whisker() }), None);
+        let lean = nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), 0.07);
+        let leaning = own.rest_shape.points(0.5).iter().map(|p| lean * p).collect();
+        let found =
+            own.difference(&WhiskerSpec { rest_shape: RestShape::Polyline(leaning), ..whisker() }).unwrap();
+        assert!(found.contains("rest_shape") && found.contains("mm apart"), "{found}");
     }
 }

@@ -25,8 +25,9 @@ pub mod shapes_document;
 pub mod stream;
 pub mod text;
 pub mod verify_document;
+pub mod wire_frame;
 
-pub use calibration::{CalibrationFile, VerificationStatus};
+pub use calibration::{CalibrationFile, CalibrationFrame, CalibrationNoise, VerificationStatus};
 pub use observation::{
     AxisData, AxisRow, FbgSpec, MomentAxes, PairLeftOut, Role, SessionData, SessionKind, SessionShapes,
     Trajectory, TransducerData, TransducerModel, TransducerRow, TwinLabel, WhiskerData, WhiskerRow,
@@ -35,3 +36,4 @@ pub use observation::{
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;
 pub use sealed::{Seal, Sealed, Unsealing};
+pub use wire_frame::WireFrame;

@@ -132,6 +132,54 @@ pub enum RestShape {
     Polyline(Vec<Vector3<f64>>),
 }
 
+/// Wires whose shapes are nowhere farther apart are one, mm.
+const MAX_APART_MM: f64 = 1.0;
+
+impl RestShape {
+    /// As points that are at most `step_mm` apart where it is given by lengths; a polyline as it is.
+    #[must_use]
+    pub fn points(&self, step_mm: f64) -> Vec<Vector3<f64>> {
+        let (straight_mm, radius_mm, length_mm) = match self {
+            Self::Polyline(points) => return points.clone(),
+            Self::StraightArc { straight_mm, arc_radius_mm, length_mm } => {
+                (*straight_mm, *arc_radius_mm, *length_mm)
+            }
+        };
+        let count = (length_mm / step_mm).ceil().max(2.0) as usize;
+        let at = |s: f64| {
+            let (sine, cosine) = ((s - straight_mm).max(0.0) / radius_mm).sin_cos();
+            Vector3::new(s.min(straight_mm) + radius_mm * sine, 0.0, -radius_mm * (1.0 - cosine))
+        };
+        (0..=count).map(|k| at(length_mm * k as f64 / count as f64)).collect()
+    }
+}
+
+/// Arc length of each point, mm.
+fn arclengths(points: &[Vector3<f64>]) -> Vec<f64> {
+    let mut s = 0.0;
+    let steps = points.windows(2).map(|w| (w[1] - w[0]).norm());
+    std::iter::once(0.0)
+        .chain(steps.map(|step| {
+            s += step;
+            s
+        }))
+        .collect()
+}
+
+/// Largest distance of two polylines at equal arc lengths from their roots, mm.
+fn distance_along(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
+    if a.is_empty() || b.len() < 2 {
+        return f64::INFINITY;
+    }
+    let of_b = arclengths(b);
+    let at = |s: f64| {
+        let k = of_b.partition_point(|x| *x < s).clamp(1, b.len() - 1);
+        let u = ((s - of_b[k - 1]) / (of_b[k] - of_b[k - 1]).max(1e-12)).clamp(0.0, 1.0);
+        b[k - 1].lerp(&b[k], u)
+    };
+    arclengths(a).iter().zip(a).map(|(s, p)| ((p - a[0]) - (at(*s) - b[0])).norm()).fold(0.0, f64::max)
+}
+
 /// The two base-moment components that the calibration predicts.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MomentAxes {
@@ -225,11 +273,16 @@ impl WhiskerSpec {
             .into_iter()
             .find(|(_, a, b)| differs(*a, *b))
             .map(|(name, a, b)| say(name, a, b)),
-            (RestShape::Polyline(a), RestShape::Polyline(b)) => {
-                let far = a.len() != b.len() || a.iter().zip(b).any(|(a, b)| (a - b).norm() > 1.0);
-                far.then(|| "rest_shape: two polylines that are 1 mm apart or more".to_owned())
+            (a, b) => {
+                const STEP_MM: f64 = 0.5;
+                let (a, b) = (a.points(STEP_MM), b.points(STEP_MM));
+                let [own, other] = [&a, &b].map(|p| arclengths(p).last().copied().unwrap_or(0.0));
+                if differs(own, other) {
+                    return Some(say("length_mm", own, other));
+                }
+                let far_mm = distance_along(&a, &b);
+                (far_mm > MAX_APART_MM).then(|| format!("rest_shape: up to {far_mm:.1} mm apart"))
             }
-            _ => Some("rest_shape: an arc and a polyline".to_owned()),
         }
     }
 }

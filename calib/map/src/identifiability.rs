@@ -37,6 +37,16 @@ impl WavelengthFromMoment {
             self.zero_pm[g] + k[0] * moment_nmm[0] + k[1] * moment_nmm[1]
         })
     }
+
+    /// Standard deviations of the moments (N mm) by independent ones of the shifts (pm): `m = K^-1 (shift - zero)`.
+    #[must_use]
+    pub fn moment_sd_nmm(&self, shift_sd_pm: [f64; 2]) -> Option<[f64; 2]> {
+        let [[a, b], [c, d]] = self.k_pm_per_nmm;
+        let determinant = a * d - b * c;
+        let inverse = [[d, -b], [-c, a]].map(|row| row.map(|v| v / determinant));
+        let sd = inverse.map(|row| (row[0] * shift_sd_pm[0]).hypot(row[1] * shift_sd_pm[1]));
+        sd.iter().all(|s| s.is_finite()).then_some(sd)
+    }
 }
 
 /// Numbers and sentences on what the readings determine.

@@ -168,6 +168,15 @@ impl Shape {
         shape
     }
 
+    /// The same wire, turned about its root.
+    #[must_use]
+    pub fn turned(&self, turn: &Rotation3<f64>) -> Self {
+        let mut shape = self.clone();
+        shape.root = turn.matrix() * self.root;
+        (shape.nodes_mm, shape.frames) = crate::kirchhoff::integrate::unloaded(&shape);
+        shape
+    }
+
     /// Interval that holds arc length `s_mm` (the last one past the tip).
     #[must_use]
     pub fn interval_at(&self, s_mm: f64) -> usize {

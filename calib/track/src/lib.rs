@@ -2,28 +2,19 @@
 //!
 //! Base frame throughout: lengths in mm, moments in N mm, time in s.
 
-pub mod arc;
 pub mod bootstrap;
 pub mod classes;
-pub mod contact_history;
 mod device;
 mod error;
 pub mod evaluate;
 pub mod filter;
 pub mod generate_sweeps;
 pub mod inverse;
-pub mod known_groove;
-pub mod known_motion;
-pub mod mesh_score;
 pub mod model_file;
-pub mod motion_judge;
-pub mod motion_row_tracker;
 pub mod network;
-pub mod row_tracker;
 pub mod score;
 pub mod sd_factors;
 pub mod segments;
-pub mod sliding;
 pub mod stream;
 pub mod surface;
 pub mod sweep_series;

@@ -142,6 +142,14 @@ impl Rod {
         self
     }
 
+    /// The same rod with its weight, turned about its root; none where its clamp yields, which is given about the axes of the base.
+    #[must_use]
+    pub fn turned(&self, turn: &Rotation3<f64>) -> Option<Self> {
+        let shape = self.shape.turned(turn);
+        let weight_n_per_mm = turn * self.weight_n_per_mm;
+        (self.compliance_rad_per_nmm == 0.0).then(|| Self { shape, weight_n_per_mm, ..self.clone() })
+    }
+
     /// The same rod with `by_mm` more wire beyond the tip ([`Shape::extended`]); its taper goes on as it is.
     #[must_use]
     pub fn extended(&self, by_mm: f64) -> Self {

@@ -1,0 +1,35 @@
+//! The groove of a session's own calibration from its table (`groove_x_mm`, `groove_y_mm`, `groove_z_mm`).
+
+use crate::ContactError;
+use crate::known_groove::KnownPlace;
+use nalgebra::Vector3;
+use std::path::Path;
+use wcal_session::{TextTable, TextTableLayout, read_text_table};
+
+const GROOVE: [&str; 3] = ["groove_x_mm", "groove_y_mm", "groove_z_mm"];
+
+/// Readings of a table with a known groove, in order of time; none where it has no such columns.
+///
+/// # Errors
+/// Where the table cannot be read.
+pub fn known_places(path: &Path) -> Result<Vec<KnownPlace>, ContactError> {
+    let table: TextTable = read_text_table(path, &TextTableLayout::default())?;
+    let column = |name: &str| table.column(name).ok();
+    let (Some(time), [Some(x), Some(y), Some(z)]) = (column("t_s"), GROOVE.map(column)) else {
+        return Ok(Vec::new());
+    };
+    let (role, speed) = (column("role"), column("speed_mm_s"));
+    let mut all = Vec::new();
+    for (k, (line, cells)) in table.rows.iter().enumerate() {
+        let number = |column| table.number(k, column);
+        if role.is_some_and(|c| cells[c] == "rest") {
+            continue;
+        }
+        if let (Some(t_s), Some(x), Some(y), Some(z)) = (number(time)?, number(x)?, number(y)?, number(z)?) {
+            let settled = speed.map(number).transpose()?.flatten().map(|v| v == 0.0);
+            all.push(KnownPlace { line: *line, t_s, groove_mm: Vector3::new(x, y, z), settled });
+        }
+    }
+    all.sort_by(|a: &KnownPlace, b| a.t_s.total_cmp(&b.t_s));
+    Ok(all)
+}

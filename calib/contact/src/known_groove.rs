@@ -1,0 +1,239 @@
+//! Answers compared with the groove of a calibration, whose place is known at each of its readings.
+//!
+//! A reading at which the stage stood takes the last answer before it, a moving one the nearest in time; with h of n readings in their 90 %
+//! regions, `P(H <= h)` of the binomial distribution with p = 0.9 says whether fewer are an accident.
+
+use crate::estimator::ContactEstimate;
+use crate::track_document::GrooveScore;
+use nalgebra::{Matrix3, Vector3};
+use std::collections::BTreeMap;
+use wcal_core::observation::WhiskerSpec;
+use wcal_track::score::{EstimateError, scores};
+
+/// Longest interval between a reading and the answer that it is compared with, s.
+const MAX_INTERVAL_S: f64 = 0.3;
+/// Stated coverage of the regions, and level of significance of the test against it.
+const STATED: f64 = 0.9;
+const LEVEL: f64 = 0.01;
+
+/// Where the groove held the wire at a reading.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KnownPlace {
+    /// Line of the table.
+    pub line: usize,
+    /// Time, s.
+    pub t_s: f64,
+    /// Centre of the wire in the groove, base frame, mm.
+    pub groove_mm: Vector3<f64>,
+    /// Whether the stage stood still; none where the table does not say.
+    pub settled: Option<bool>,
+}
+
+/// Velocity of the base past the groove between the readings of a table, base frame, mm/s, by line.
+#[must_use]
+pub fn velocities(places: &[KnownPlace], max_step_s: f64) -> BTreeMap<usize, Vector3<f64>> {
+    let mut all = BTreeMap::new();
+    for (k, place) in places.iter().enumerate() {
+        let before = k.checked_sub(1).map(|k| &places[k]).filter(|b| place.t_s - b.t_s <= max_step_s);
+        let moved = before.filter(|b| place.t_s > b.t_s);
+        if place.settled == Some(true) {
+            all.insert(place.line, Vector3::zeros());
+        } else if let Some(b) = moved {
+            all.insert(place.line, (b.groove_mm - place.groove_mm) / (place.t_s - b.t_s));
+        }
+    }
+    all
+}
+
+/// An answer of the tracker.
+#[derive(Debug, Clone, Copy)]
+struct Answer {
+    t_s: f64,
+    axis_mm: Vector3<f64>,
+    covariance_mm2: Matrix3<f64>,
+    contact: f64,
+}
+
+/// Known places compared with the answers.
+#[derive(Debug, Clone)]
+pub struct KnownGroove {
+    places: Vec<KnownPlace>,
+    next: usize,
+    radius_mm: f64,
+    last: Option<Answer>,
+    compared: Vec<EstimateError>,
+    /// Their times, s.
+    times_s: Vec<f64>,
+    /// Readings at which the tracker sees no contact.
+    unseen: usize,
+}
+
+impl KnownGroove {
+    /// For a whisker; none without known places.
+    #[must_use]
+    pub fn new(places: Vec<KnownPlace>, whisker: &WhiskerSpec) -> Option<Self> {
+        let radius_mm = whisker.diameter_mm / 2.0;
+        let own = Self {
+            places,
+            next: 0,
+            radius_mm,
+            last: None,
+            compared: Vec::new(),
+            times_s: Vec::new(),
+            unseen: 0,
+        };
+        (!own.places.is_empty()).then_some(own)
+    }
+
+    /// Takes the answer at a time; readings up to there are compared with the last one before them, moving ones with the nearest.
+    pub fn push(&mut self, t_s: f64, estimate: &ContactEstimate) {
+        let now = Answer {
+            t_s,
+            // The contact is on the object's surface; the groove's place is that of the wire's axis.
+            axis_mm: estimate.place_mm + estimate.normal * self.radius_mm,
+            covariance_mm2: estimate.covariance_mm2,
+            contact: estimate.probability,
+        };
+        while let Some(place) = self.places.get(self.next).filter(|p| p.t_s <= t_s) {
+            let nearer =
+                |last: &Answer| place.settled == Some(true) || place.t_s - last.t_s < t_s - place.t_s;
+            let chosen = match self.last.filter(|last| t_s > place.t_s && nearer(last)) {
+                Some(last) => last,
+                None => now,
+            };
+            if (chosen.t_s - place.t_s).abs() <= MAX_INTERVAL_S {
+                let off_mm = chosen.axis_mm - place.groove_mm;
+                let path = Vector3::zeros();
+                self.compared.push(EstimateError::new(
+                    off_mm.norm(),
+                    off_mm,
+                    &path,
+                    Some(&chosen.covariance_mm2),
+                ));
+                self.times_s.push(place.t_s);
+                self.unseen += usize::from(chosen.contact < 0.5);
+            }
+            self.next += 1;
+        }
+        self.last = Some(now);
+    }
+
+    /// For track.json; none where nothing was compared.
+    #[must_use]
+    pub fn score(&self) -> Option<GrooveScore> {
+        if self.compared.is_empty() {
+            return None;
+        }
+        let s = scores(&self.compared);
+        Some(GrooveScore {
+            readings: self.places.len(),
+            compared: s.samples,
+            without_contact: self.unseen,
+            rmse_mm: s.true_contact_rmse_mm,
+            median_mm: s.true_contact_median_mm,
+            p95_mm: s.p95_mm,
+            largest_mm: self.compared.iter().map(|c| c.error_mm.norm()).fold(0.0, f64::max),
+            coverage90: s.coverage90,
+        })
+    }
+
+    /// RMS error at the last compared reading of each contact (first and last time, s), mm: a contact's readings before it knew less. None
+    /// where none was compared.
+    #[must_use]
+    pub fn end_rmse_mm(&self, contacts_s: &[[f64; 2]]) -> Option<f64> {
+        let within = |[from, to]: &[f64; 2]| self.times_s.iter().rposition(|t| (*from..=*to).contains(t));
+        let last: Vec<f64> =
+            contacts_s.iter().filter_map(within).map(|k| self.compared[k].error_mm.norm_squared()).collect();
+        (!last.is_empty()).then(|| (last.iter().sum::<f64>() / last.len() as f64).sqrt())
+    }
+
+    /// Whether fewer places lie in the stated 90 % regions than chance explains.
+    #[must_use]
+    pub fn misstated(&self) -> bool {
+        let within = self.compared.iter().filter(|c| c.in_region90()).count();
+        !self.compared.is_empty() && at_most(within, self.compared.len(), STATED) < LEVEL
+    }
+
+    /// The same for people.
+    #[must_use]
+    pub fn message(&self) -> Option<String> {
+        let s = self.score()?;
+        Some(format!(
+            "known groove, {} readings: the tracked contact is off by {:.2} mm RMS (median {:.2}, largest {:.2}); {:.0} % lie in the stated \
+             90 % regions; no contact seen at {}",
+            s.compared,
+            s.rmse_mm,
+            s.median_mm,
+            s.largest_mm,
+            100.0 * s.coverage90.unwrap_or(f64::NAN),
+            s.without_contact
+        ))
+    }
+}
+
+/// Chance of `hits` or fewer of `n` with probability `p` each (binomial).
+#[must_use]
+pub fn at_most(hits: usize, n: usize, p: f64) -> f64 {
+    let (mut ln_term, mut sum) = (n as f64 * (1.0 - p).ln(), 0.0);
+    for k in 0..=hits {
+        sum += ln_term.exp();
+        ln_term += ((n - k) as f64 / (k + 1) as f64).ln() + (p / (1.0 - p)).ln();
+    }
+    sum.min(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn place(line: usize, t_s: f64, x: f64, settled: bool) -> KnownPlace {
+        KnownPlace { line, t_s, groove_mm: Vector3::new(x, 0.0, 0.0), settled: Some(settled) }
+    }
+
+    fn answer(x: f64, sd_mm: f64) -> ContactEstimate {
+        ContactEstimate {
+            probability: 0.9,
+            place_mm: Vector3::new(x, 0.0, -0.15),
+            covariance_mm2: Matrix3::identity() * sd_mm * sd_mm,
+            normal: Vector3::z(),
+        }
+    }
+
+    #[test]
+    fn answers_are_compared_with_the_groove_at_their_time() {
+        let whisker = WhiskerSpec::nominal();
+        let places = vec![place(2, 1.0, 20.0, true), place(3, 2.04, 30.0, false), place(4, 9.0, 30.0, true)];
+        let mut groove = KnownGroove::new(places, &whisker).unwrap();
+        for (t_s, x) in [(0.95, 20.0), (1.05, 99.0), (2.0, 31.0), (2.1, 99.0), (9.5, 99.0)] {
+            groove.push(t_s, &answer(x, 0.5));
+        }
+        // Standing: the answer before. Moving: the nearest. None within reach of the third.
+        let s = groove.score().unwrap();
+        assert_eq!((s.readings, s.compared), (3, 2), "{s:?}");
+        assert!((s.largest_mm - 1.0).abs() < 1e-6, "{s:?}");
+        assert!(KnownGroove::new(Vec::new(), &whisker).is_none());
+    }
+
+    #[test]
+    fn regions_that_hold_too_little_are_told_from_chance() {
+        let run = |off_mm: f64, n: usize| {
+            let places = (0..n).map(|k| place(k, k as f64, 20.0, true)).collect();
+            let mut groove = KnownGroove::new(places, &WhiskerSpec::nominal()).unwrap();
+            (0..n).for_each(|k| groove.push(k as f64, &answer(20.0 + off_mm, 1.0)));
+            groove.misstated()
+        };
+        assert!(run(22.0, 9) && !run(0.5, 9), "22 mm off with 1 mm stated");
+        assert!(!run(22.0, 1), "one reading of ten may lie outside");
+        assert!((at_most(1, 2, 0.9) - 0.19).abs() < 1e-12);
+    }
+
+    #[test]
+    fn velocities_are_those_of_the_base_past_the_groove() {
+        let all = velocities(
+            &[place(2, 0.0, 0.0, true), place(3, 0.1, 0.4, false), place(4, 9.0, 5.0, false)],
+            1.0,
+        );
+        assert_eq!(all[&2], Vector3::zeros());
+        assert!((all[&3].x + 4.0).abs() < 1e-9 && !all.contains_key(&4), "{all:?}");
+    }
+}

@@ -1,0 +1,293 @@
+//! Contacts of a stream, one after the other: when an episode begins and ends, with the recursive posterior of the one at hand.
+//!
+//! ```text
+//! loaded      |m_k| > 4 sqrt(tr R_k + tr B + sum_j |h_kj|^2)        R_k: the reading's noise, B: the pose's, h_kj: common unknowns
+//! begins      at a loaded reading, once the motion has a direction u: the trajectory's, or that of the last displacement before it that
+//!             exceeds 0.3 mm and 3 s_d, or of the first after it
+//! ends        after 4 readings in a row that are not loaded and at which the object is more than 0.3 mm past its position at the first
+//!             load, d_k . u > 0.3 mm: it moves on without the wire; where the motion jumps or is not known
+//! dropped     fewer than 3 of its readings were loaded
+//! ```
+//!
+//! An object that retracts past first touch and returns touches the wire at the same point again, as in the batch
+//! ([`super::episodes`]).
+
+use super::check::{self, Disagreement};
+use super::posterior::Region;
+use super::{
+    Episode, Innovations, MomentField, MotionRow, Place, RecursivePosterior, RecursiveSettings, check_row,
+};
+use crate::ContactError;
+use nalgebra::Vector3;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Free readings before a contact that belong to it, and their smallest distance, mm: readings of one pose say the same.
+const LEAD: usize = 12;
+const LEAD_STEP_MM: f64 = 0.25;
+/// Readings within a contact that may appear free.
+const DIPS: usize = 3;
+/// Fewer loaded readings are no contact.
+const MIN_LOADED: usize = 3;
+/// An object is retracted where it is at most this far past its position at the first load, mm; a longer displacement has a direction.
+const BACK_MM: f64 = 0.3;
+/// Readings of an episode that are kept to name a disagreement; of more, every second, fourth, ...
+const KEPT: usize = 48;
+
+/// What is known after a reading.
+#[derive(Debug, Clone, Default)]
+pub struct StreamedContact {
+    /// Where the wire is held; none outside of an episode.
+    pub place: Option<Place>,
+    /// 95 % region of highest density over the arc length of first touch.
+    pub regions: Vec<Region>,
+    /// Number of the episode.
+    pub episode: Option<u64>,
+    /// Moments and motion do not belong together so far.
+    pub disagrees: bool,
+    /// The wire is loaded.
+    pub loaded: bool,
+}
+
+/// An episode that has ended.
+#[derive(Debug, Clone)]
+pub struct FinishedEpisode {
+    /// Number.
+    pub number: u64,
+    /// First and last reading, s.
+    pub span_s: [f64; 2],
+    /// Readings.
+    pub readings: usize,
+    /// Innovations.
+    pub innovations: Innovations,
+    /// Evidence against motion, map or rod.
+    pub disagreement: Option<Disagreement>,
+    /// 95 % regions at its end.
+    pub regions: Vec<Region>,
+}
+
+/// The episode at hand.
+#[derive(Debug, Clone)]
+struct Running {
+    number: u64,
+    posterior: RecursivePosterior,
+    from_s: f64,
+    last_s: f64,
+    loaded: usize,
+    /// Readings in a row that were not loaded, and those of them past the first load.
+    free: usize,
+    past: usize,
+    /// Every n-th reading.
+    kept: Vec<MotionRow>,
+    every: usize,
+    regions: Vec<Region>,
+}
+
+/// Locates contacts reading by reading.
+pub struct ContactStream {
+    field: Arc<MomentField>,
+    settings: RecursiveSettings,
+    lead: VecDeque<MotionRow>,
+    /// Loaded readings whose motion has no direction yet.
+    waiting: Vec<MotionRow>,
+    running: Option<Running>,
+    piece: u32,
+    episodes: u64,
+    last_s: f64,
+    shared: Option<usize>,
+    finished: Vec<FinishedEpisode>,
+}
+
+impl ContactStream {
+    /// Past a wire. Where readings must not wait for the rod, its table is filled before ([`MomentField::fill`]).
+    #[must_use]
+    pub fn new(field: Arc<MomentField>, settings: RecursiveSettings) -> Self {
+        Self {
+            field,
+            settings,
+            lead: VecDeque::with_capacity(LEAD + 1),
+            waiting: Vec::new(),
+            running: None,
+            piece: 0,
+            episodes: 0,
+            last_s: f64::NEG_INFINITY,
+            shared: None,
+            finished: Vec::new(),
+        }
+    }
+
+    /// Takes a reading. `piece` counts up where the motion before says nothing about the one after; `push`: direction of the push where it
+    /// is known.
+    ///
+    /// # Errors
+    /// For a reading that cannot be used: its time is not later, or a number is not finite.
+    pub fn push(
+        &mut self,
+        row: &MotionRow,
+        piece: u32,
+        push: Option<Vector3<f64>>,
+    ) -> Result<StreamedContact, ContactError> {
+        let shared = *self.shared.get_or_insert(row.shared_nmm.len());
+        check_row(row, self.last_s, shared, "reading of a stream")?;
+        self.last_s = row.t_s;
+        if piece != self.piece {
+            self.interrupt();
+            self.piece = piece;
+        }
+        let is_loaded = self.settings.is_loaded(row);
+        if self.running.is_none() {
+            self.begin(row, is_loaded, push);
+        } else {
+            self.follow(row, is_loaded);
+        }
+        let Some(running) = &mut self.running else {
+            return Ok(StreamedContact { loaded: is_loaded, ..StreamedContact::default() });
+        };
+        let (place, posterior) = running.posterior.place(&self.field, row);
+        running.regions = posterior.regions();
+        Ok(StreamedContact {
+            place: Some(place),
+            regions: running.regions.clone(),
+            episode: Some(running.number),
+            disagrees: !running.posterior.innovations().consistent(),
+            loaded: is_loaded,
+        })
+    }
+
+    /// The motion is not known from here on: the episode ends, and what was before says nothing about what comes.
+    pub fn interrupt(&mut self) {
+        self.end();
+        self.lead.clear();
+        self.waiting.clear();
+    }
+
+    /// Episodes that have ended; the one at hand ends here.
+    pub fn finish(&mut self) -> &[FinishedEpisode] {
+        self.end();
+        &self.finished
+    }
+
+    /// Outside of an episode: the reading is one of the lead, or begins an episode.
+    fn begin(&mut self, row: &MotionRow, is_loaded: bool, push: Option<Vector3<f64>>) {
+        if !is_loaded {
+            self.waiting.clear();
+            self.lead_in(row);
+            return;
+        }
+        self.waiting.push(row.clone());
+        let Some(direction) = push.or_else(|| self.direction()) else {
+            // A long hold before any motion: its last readings say as much.
+            if self.waiting.len() > KEPT {
+                self.waiting.remove(1);
+            }
+            return;
+        };
+        let waiting = std::mem::take(&mut self.waiting);
+        let lead: Vec<MotionRow> = self.lead.drain(..).collect();
+        let started = RecursivePosterior::start(&self.field, self.settings, direction, &lead, &waiting[0]);
+        let Some(posterior) = started else { return };
+        self.running = Some(Running {
+            number: self.episodes,
+            posterior,
+            from_s: waiting[0].t_s,
+            last_s: row.t_s,
+            loaded: 1,
+            free: 0,
+            past: 0,
+            kept: lead.into_iter().chain([waiting[0].clone()]).collect(),
+            every: 1,
+            regions: Vec::new(),
+        });
+        self.episodes += 1;
+        for row in &waiting[1..] {
+            self.follow(row, true);
+        }
+    }
+
+    /// Within an episode.
+    fn follow(&mut self, row: &MotionRow, is_loaded: bool) {
+        let Some(running) = &mut self.running else { return };
+        if is_loaded {
+            (running.free, running.past) = (0, 0);
+            running.loaded += 1;
+        } else {
+            let retracted = running.posterior.along_mm(&self.field, row) <= BACK_MM;
+            running.free += 1;
+            running.past = if retracted { 0 } else { running.past + 1 };
+            let too_few = running.loaded < MIN_LOADED && running.free > DIPS;
+            if running.past > DIPS || too_few {
+                self.end();
+                self.lead_in(row);
+                return;
+            }
+        }
+        running.posterior.push(&self.field, row);
+        running.last_s = row.t_s;
+        running.keep(row);
+    }
+
+    fn lead_in(&mut self, row: &MotionRow) {
+        // The newest reading stands for those of its pose.
+        let near = |before: &MotionRow| (before.moved_mm - row.moved_mm).norm() < LEAD_STEP_MM;
+        let n = self.lead.len();
+        if n >= 2 && near(&self.lead[n - 2]) {
+            self.lead.pop_back();
+        }
+        self.lead.push_back(row.clone());
+        if self.lead.len() > LEAD {
+            self.lead.pop_front();
+        }
+    }
+
+    /// Direction of the motion at the first waiting reading; under rotation that of the wire's middle.
+    fn direction(&self) -> Option<Vector3<f64>> {
+        let first = self.waiting.first()?;
+        let middle = self.field.free(0.5 * self.field.length_mm()).0;
+        let displacement = |row: &MotionRow| {
+            let turn = row.turn * first.turn.inverse();
+            turn * (middle - first.moved_mm) + row.moved_mm - middle
+        };
+        let enough = |w: &Vector3<f64>| w.norm() > BACK_MM.max(3.0 * first.moved_sd_mm);
+        let before = self.lead.iter().rev().map(|row| -displacement(row)).find(enough);
+        before.or_else(|| self.waiting.iter().map(displacement).find(enough))
+    }
+
+    fn end(&mut self) {
+        let Some(running) = self.running.take() else { return };
+        if running.loaded < MIN_LOADED {
+            return;
+        }
+        let innovations = running.posterior.innovations();
+        let mut rows = running.kept;
+        if let Some(pose) = self.settings.pose {
+            rows.iter_mut().for_each(|r| r.noise_nmm2 += pose.covariance_nmm2);
+        }
+        let episode = Episode { rows, push: Some(running.posterior.push_direction()) };
+        let disagreement = check::disagreement(&self.field, &episode, &self.settings.common, &innovations);
+        self.finished.push(FinishedEpisode {
+            number: running.number,
+            span_s: [running.from_s, running.last_s],
+            readings: innovations.rows,
+            innovations,
+            disagreement,
+            regions: running.regions,
+        });
+    }
+}
+
+impl Running {
+    /// Keeps a bounded number of readings, evenly spread.
+    fn keep(&mut self, row: &MotionRow) {
+        if self.posterior.innovations().rows.is_multiple_of(self.every) {
+            self.kept.push(row.clone());
+        }
+        if self.kept.len() > KEPT {
+            self.every *= 2;
+            let mut k = 0;
+            self.kept.retain(|_| {
+                k += 1;
+                k % 2 == 1
+            });
+        }
+    }
+}

@@ -1,0 +1,306 @@
+//! Where the wire is held when the relative motion of base and object is known: physics, no network.
+//!
+//! An object holds the wire at one point (a V-groove, an edge, a tip) and moves with respect to the base by d(t), known up to a
+//! constant within one episode. All in the base frame, lengths in mm, moments in N mm.
+//!
+//! State of an episode, theta = (s, x, g): the free wire is first touched at arc length s when the displacement along the push u is x, with
+//! a gap g between wire and point,
+//!
+//! `P_ref = r0(s) + g n(s) - (x - x_ref) u`, `n = t0(s) x u / |t0(s) x u|`, `P_k = Q_k P_ref + d_k` (Q_k the rotation, 1 without one).
+//!
+//! Transition: none but the motion. Holds and reversals are d_k itself; before first touch, `(P_k - r0(s) - g n(s)) . u <= 0`, the wire is
+//! free and m = 0. With friction the contact's arc length s_c plays between the two slip branches of the rod,
+//! `s_c(k) = clamp(s_c(k-1), s(P, -mu), s(P, +mu))`.
+//!
+//! Likelihood, with the rod's equilibrium m(P) ([`field`]), K the map's sensitivity and c what all readings of a calibration share:
+//!
+//! `y_k = m(P_k) + H_k c + (dm/dP) (v_k tau + e_k) + n_k`, `c ~ N(0, 1)`, `tau ~ N(0, s_tau^2)`, `e_k ~ N(0, s_d^2)`,
+//! `n_k ~ (1 - eps) N(0, R_k) + eps N(0, 100 R_k) + eps U` (outliers: larger noise, or anything: [`likelihood`]);
+//!
+//! one standard deviation of an unknown c_j changes the moments by h_kj (map), the displacement by w_kj (an accepted effect of the stage) and
+//! the rod to another (an accepted effect of rod or friction, m_j): `H_kj = h_kj + (dm/dP) w_kj + m_j(P_k) - m(P_k)`.
+//! where the noise is correlated in time, that part of R_k is in further columns H ([`correlated`]).
+//! c, tau and e_k are integrated out, so that the covariance of an episode is `S = diag(R_k + (s_d^2 + s_p^2) D_k D_k' + s_q^2 |m_k|^2 1) + H H' + T T'`
+//! ([`likelihood`]); s_p (mm) and s_q (relative) are the error of the interpolated m(P), which dominates where the noise is negligible.
+//!
+//! Posterior: `p(theta | y) ~ N(y; m(theta), S) N(g; 0, s_g^2)`, s uniform over the wire, x uniform over the episode; on a grid of s that is refined
+//! where the mass lies, Gaussian in (x, g) at each node (nested Laplace approximation: H. Rue, S. Martino, N. Chopin, J. R. Stat. Soc. B 71
+//! (2009) 319) ([`posterior`]). The 95 % region is that of highest density. Where the motion has an error of its own, readings near first touch
+//! lie on either side of it, and the posterior is that of the recursion over the readings ([`recursive`]).
+//!
+//! Bound: no estimator has a smaller mean squared error than `J^-1`, `J = G' S^-1 G + diag(12/L_s^2, 12/L_x^2, 1/s_g^2)`, `G = dm/dtheta` at the
+//! truth, L_s and L_x the widths of the uniform priors (Bayesian Cramer-Rao: H. L. Van Trees, "Detection, Estimation, and Modulation Theory"
+//! I, 2.4.3; Tichavsky's recursion (IEEE Trans. Signal Process. 46 (1998) 1386) for a constant state) ([`bound`]).
+
+pub mod bound;
+pub mod check;
+pub mod contact_path;
+pub mod contact_stream;
+pub mod correlated;
+pub mod episodes;
+pub mod field;
+mod interpolation;
+pub mod likelihood;
+pub mod motion_log;
+pub mod posterior;
+pub mod recursive;
+
+pub use bound::bound_mm;
+pub use check::{Disagreement, Innovations};
+pub use contact_stream::{ContactStream, StreamedContact};
+pub use correlated::{CorrelatedShare, share_correlated};
+pub use episodes::episodes;
+pub use field::{Friction, MomentField};
+pub use motion_log::{LogRow, Lost, Motion, MotionLog};
+pub use posterior::{Posterior, Region};
+pub use recursive::{PoseNoise, RecursivePosterior, RecursiveSettings};
+
+use crate::ContactError;
+use contact_path::{ContactPath, loaded};
+use likelihood::Likelihood;
+use nalgebra::{Matrix2, Matrix3, Rotation3, Vector3};
+
+/// One reading with the motion at its time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MotionRow {
+    /// Time, s.
+    pub t_s: f64,
+    /// Moments, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Covariance of this reading's own noise, (N mm)^2.
+    pub noise_nmm2: Matrix2<f64>,
+    /// Errors shared with the other readings: by how much one standard deviation of each common unknown makes the moments too large,
+    /// N mm; the same number in every row.
+    pub shared_nmm: Vec<[f64; 2]>,
+    /// By how much each changes the displacement, base frame, mm; the same number, or empty where the displacement depends on none.
+    pub shared_way_mm: Vec<Vector3<f64>>,
+    /// Displacement of the object with respect to the base, base frame, mm, up to a constant in the episode: a point is at `turn p + moved`.
+    pub moved_mm: Vector3<f64>,
+    /// Rotation of the object with respect to the base, up to a constant.
+    pub turn: Rotation3<f64>,
+    /// Velocity of the object, mm/s; zero at standstill.
+    pub velocity_mm_s: Vector3<f64>,
+    /// Standard deviation of the displacement in each coordinate, mm.
+    pub moved_sd_mm: f64,
+    /// Known to be free of contact.
+    pub free: bool,
+    /// Readings of one visit follow each other without the contact being left in between unseen.
+    pub visit: u32,
+}
+
+/// Readings over which the displacement is known up to one constant, in order of time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Episode {
+    /// Readings.
+    pub rows: Vec<MotionRow>,
+    /// Unit vector along which the object pushes at first touch; taken from the motion where it is not known.
+    pub push: Option<Vector3<f64>>,
+}
+
+/// What is assumed where nothing is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// Standard deviation of the gap at which the object passes the free wire before it holds it, mm.
+    pub gap_sd_mm: f64,
+    /// Standard deviation of the clock of the motion against that of the moments, s.
+    pub clock_sd_s: f64,
+    /// Smallest arc length of a contact, mm.
+    pub first_mm: f64,
+    /// Prior probability that a reading is an outlier.
+    pub gross_share: f64,
+    /// Readings of an episode that the posterior is made of; of more, every second, third, ...
+    pub max_rows: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        // The mouth of a V-groove and the offsets of a bench (0.1-1.5 mm) set the gap; no better is known.
+        Self { gap_sd_mm: 0.5, clock_sd_s: 0.0, first_mm: 8.0, gross_share: 0.01, max_rows: 400 }
+    }
+}
+
+/// Where the wire is held at one reading.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Place {
+    /// Mean place of the wire's axis at the contact, mm; none where the episode has no usable contact.
+    pub place_mm: Option<Vector3<f64>>,
+    /// Covariance, mm^2.
+    pub covariance_mm2: Matrix3<f64>,
+    /// Probability that the wire is held.
+    pub contact: f64,
+    /// Whether the reading was treated as an outlier.
+    pub gross: bool,
+}
+
+/// Result of an episode.
+#[derive(Debug, Clone)]
+pub struct Located {
+    /// The contact at each row.
+    pub places: Vec<Place>,
+    /// The posterior of the state; none where no state explains anything.
+    pub posterior: Option<Posterior>,
+    /// Evidence against motion, map or rod.
+    pub disagreement: Option<Disagreement>,
+    /// Innovations at the best state.
+    pub innovations: Innovations,
+}
+
+/// Locates the contact of an episode.
+///
+/// # Errors
+/// For rows that cannot be used: no push direction, times that do not go forward, numbers that are not finite.
+pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Result<Located, ContactError> {
+    check_rows(episode)?;
+    let all = episode;
+    let Some(whole) = ContactPath::new(field, episode) else {
+        let found = Located::nothing(episode);
+        if !episode.rows.iter().any(loaded) {
+            return Ok(found);
+        }
+        // The wire is loaded, but the motion has no direction.
+        let innovations = Innovations::unexplained(episode.rows.len());
+        let disagreement = check::disagreement(field, episode, settings, &innovations);
+        return Ok(Located { disagreement, innovations, ..found });
+    };
+    let chosen = thinned(episode, settings.max_rows);
+    let rows = chosen.iter().map(|&k| episode.rows[k].clone()).collect();
+    let episode = &Episode { rows, push: Some(whole.push) };
+    let Some(path) = ContactPath::new(field, episode) else {
+        return Ok(Located::nothing(all));
+    };
+    let mut likelihood = Likelihood::new(&path, settings, None)?;
+    let Some(first) = posterior::modes(&path, &likelihood, settings).into_iter().next() else {
+        // Loaded readings that no contact on the wire explains.
+        let innovations = Innovations::unexplained(episode.rows.len());
+        let disagreement = check::disagreement(field, episode, settings, &innovations);
+        return Ok(Located { disagreement, innovations, ..Located::nothing(all) });
+    };
+    let (plain, dof) = likelihood.innovation(&path, &first.state);
+    let mut best = first;
+    if check::too_large(plain, dof)
+        && let Some((without, mode)) = without_one(&path, settings)?
+    {
+        (likelihood, best) = (without, mode);
+    }
+    // The covariance depends on the state (clock, noise of the motion, outliers): linearised at the mode, iterated (reweighting).
+    for _ in 0..3 {
+        likelihood = Likelihood::new(&path, settings, Some((&best.state, &likelihood)))?;
+        match posterior::climb(&path, &likelihood, settings, &best.state) {
+            Some(next) => best = next,
+            None => break,
+        }
+    }
+    let posterior = match exact(&episode.rows, settings) {
+        true => Posterior::new(&path, &likelihood, settings),
+        false => recursive::of_episode(field, path.push, &episode.rows, settings)
+            .unwrap_or_else(|| Posterior::new(&path, &likelihood, settings)),
+    };
+    let (robust, _) = likelihood.innovation(&path, &best.state);
+    let gross = likelihood.regular.iter().filter(|r| **r < 0.5).count();
+    let innovations = Innovations { plain, robust, dof, gross, rows: episode.rows.len() };
+    let disagreement = check::disagreement(field, episode, settings, &innovations);
+    let is_gross = |k: usize| chosen.binary_search(&k).is_ok_and(|n| likelihood.regular[n] < 0.5);
+    Ok(Located {
+        places: posterior.places(&whole, is_gross),
+        posterior: Some(posterior),
+        disagreement,
+        innovations,
+    })
+}
+
+/// Whether the motion has no error of its own. Where it has one, readings near first touch may lie on either side of it: the linearised
+/// likelihood takes one side and states too small a region, the recursion weighs both.
+fn exact(rows: &[MotionRow], settings: &Settings) -> bool {
+    settings.clock_sd_s == 0.0 && rows.iter().all(|r| r.moved_sd_mm == 0.0)
+}
+
+/// Readings of an episode that are left out in turn, and readings from which on one outlier has little weight.
+const MAX_LEFT_OUT: usize = 6;
+const MAX_SEARCHED: usize = 60;
+
+/// The loaded readings that stand out most from the mean of their neighbours, first the farthest: along a smooth motion moments are smooth.
+fn standing_out(rows: &[MotionRow]) -> Vec<usize> {
+    let loaded: Vec<usize> = (0..rows.len()).filter(|&k| !rows[k].free).collect();
+    let off = |n: usize| {
+        let at = |n: usize| nalgebra::Vector2::from(rows[loaded[n.min(loaded.len() - 1)]].moment_nmm);
+        (at(n) - 0.5 * (at(n.saturating_sub(1)) + at(n + 1))).norm()
+    };
+    let mut order: Vec<(f64, usize)> = (0..loaded.len()).map(|n| (off(n), loaded[n])).collect();
+    order.sort_by(|a, b| b.0.total_cmp(&a.0));
+    order.into_iter().map(|o| o.1).take(MAX_LEFT_OUT).collect()
+}
+
+/// The mode without the one reading whose absence makes the others consistent; none where there is no such reading. A gross reading draws the
+/// least-squares mode away, from where its residual need not stand out (masking).
+fn without_one(
+    path: &ContactPath<'_>,
+    settings: &Settings,
+) -> Result<Option<(Likelihood, posterior::Mode)>, ContactError> {
+    if path.rows.len() > MAX_SEARCHED || settings.gross_share <= 0.0 {
+        return Ok(None);
+    }
+    let mut best: Option<(f64, Likelihood, posterior::Mode)> = None;
+    for k in standing_out(path.rows) {
+        let likelihood = Likelihood::without(path, settings, k)?;
+        let Some(mode) = posterior::modes(path, &likelihood, settings).into_iter().next() else { continue };
+        let (chi2, dof) = likelihood.innovation(path, &mode.state);
+        if !check::too_large(chi2, dof - 2.0) && best.as_ref().is_none_or(|b| chi2 < b.0) {
+            best = Some((chi2, likelihood, mode));
+        }
+    }
+    Ok(best.map(|(_, likelihood, mode)| (likelihood, mode)))
+}
+
+impl Located {
+    fn nothing(episode: &Episode) -> Self {
+        let place = Place { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, gross: false };
+        Self {
+            places: vec![place; episode.rows.len()],
+            posterior: None,
+            disagreement: None,
+            innovations: Innovations {
+                plain: 0.0,
+                robust: 0.0,
+                dof: 0.0,
+                gross: 0,
+                rows: episode.rows.len(),
+            },
+        }
+    }
+}
+
+/// Readings used by the posterior: every n-th, with the first loaded one, from which displacements count.
+fn thinned(episode: &Episode, max_rows: usize) -> Vec<usize> {
+    let n = episode.rows.len();
+    let stride = n.div_ceil(max_rows.max(1)).max(1);
+    let first = episode.rows.iter().position(loaded).unwrap_or(0);
+    (first % stride..n).step_by(stride).collect()
+}
+
+fn check_rows(episode: &Episode) -> Result<(), ContactError> {
+    let shared = episode.rows.first().map_or(0, |r| r.shared_nmm.len());
+    let mut last_s = f64::NEG_INFINITY;
+    for (k, row) in episode.rows.iter().enumerate() {
+        check_row(row, last_s, shared, &format!("reading {k} of an episode"))?;
+        last_s = row.t_s;
+    }
+    Ok(())
+}
+
+/// A reading after one at `last_s`, of a record with `shared` common unknowns.
+fn check_row(row: &MotionRow, last_s: f64, shared: usize, what: &str) -> Result<(), ContactError> {
+    let numbers = row.moment_nmm.iter().chain(row.moved_mm.iter()).chain(row.velocity_mm_s.iter());
+    if !numbers.copied().all(f64::is_finite) || !row.noise_nmm2.iter().all(|v| v.is_finite()) {
+        return Err(ContactError::value(what, "finite moments, noise and motion", "one that is not"));
+    }
+    if !(row.t_s >= last_s) {
+        return Err(ContactError::value(what, format!("a time from {last_s} s on"), row.t_s.to_string()));
+    }
+    for count in [row.shared_nmm.len(), row.shared_way_mm.len().max(shared)] {
+        if count != shared {
+            let expected = format!("{shared} common unknowns as in the first");
+            return Err(ContactError::value(what, expected, count.to_string()));
+        }
+    }
+    Ok(())
+}

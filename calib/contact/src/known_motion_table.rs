@@ -1,0 +1,238 @@
+//! Contacts of a table along a known motion: its episodes one by one, each from all of its readings ([`locate`]); no network.
+
+use crate::ContactError;
+use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
+use crate::known_motion::{
+    Episode, Located, MomentField, MotionRow, Posterior, Region, Settings, episodes, locate,
+};
+use crate::known_motion_stream::MotionAccuracy;
+use crate::reading::Reading;
+use crate::session_groove::disagreement_sentence;
+use crate::sliding::SlidingContact;
+use crate::sliding_episodes::sliding_contacts;
+use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
+use nalgebra::Matrix2;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use wcal_core::WhiskerSpec;
+use wcal_core::stream::Flags;
+
+/// Share of the noise from pose to pose by which the zero may be off in another record. An assumption, as for the filters.
+const ZERO: f64 = 0.5;
+/// Noise from pose to pose is one draw for poses nearer than this, mm: rows of a dense record are not that many poses. An assumption.
+const SAME_POSE_MM: f64 = 1.0;
+
+/// A contact of the table.
+struct TableContact {
+    /// Its readings among those whose motion is known: first, and one past the last.
+    range: [usize; 2],
+    span_s: [f64; 2],
+    found: Located,
+    /// The contact as one that slides, where no fixed point explains the moments.
+    sliding: Option<SlidingContact>,
+}
+
+impl TableContact {
+    /// As one that slides, where the motion supports it.
+    fn slides(&self) -> Option<&SlidingContact> {
+        self.sliding.as_ref().filter(|s| s.supported())
+    }
+}
+
+/// The estimator of a table.
+pub struct KnownMotionTable {
+    field: MomentField,
+    whisker: WhiskerSpec,
+    accuracy: MotionAccuracy,
+    /// Whether the table is of a sweep over an object: there a contact slides by its nature; elsewhere a wrong motion or calibration is as
+    /// likely.
+    over_object: bool,
+    /// Readings whose motion is known, the piece of the motion that each is in, and its number among all.
+    rows: Vec<MotionRow>,
+    pieces: Vec<u32>,
+    index: Vec<usize>,
+    readings: usize,
+    lost: BTreeMap<&'static str, u64>,
+    /// Which readings have no motion.
+    without: Vec<usize>,
+    noise_nmm2: f64,
+    contacts: Vec<TableContact>,
+}
+
+impl KnownMotionTable {
+    /// Of a whisker whose wire has the moments of `field`.
+    #[must_use]
+    pub fn new(
+        field: MomentField,
+        whisker: &WhiskerSpec,
+        accuracy: MotionAccuracy,
+        over_object: bool,
+    ) -> Self {
+        Self {
+            field,
+            whisker: whisker.clone(),
+            accuracy,
+            over_object,
+            rows: Vec::new(),
+            pieces: Vec::new(),
+            index: Vec::new(),
+            readings: 0,
+            lost: BTreeMap::new(),
+            without: Vec::new(),
+            noise_nmm2: 0.0,
+            contacts: Vec::new(),
+        }
+    }
+
+    /// Contacts of the readings so far.
+    fn locate(&mut self) -> Result<(), ContactError> {
+        // Rows of one pose have one noise from pose to pose: each counts for its share.
+        let poses: Vec<f64> = (0..self.rows.len()).map(|k| same_pose(&self.rows, k)).collect();
+        for (row, n) in self.rows.iter_mut().zip(poses) {
+            row.noise_nmm2 *= n;
+        }
+        let ranges = episodes(&self.field, &mut self.rows, &self.pieces);
+        let settings = Settings { clock_sd_s: self.accuracy.clock_sd_s, ..Settings::default() };
+        let one = |[from, to]: &[usize; 2]| {
+            let episode = Episode { rows: self.rows[*from..*to].to_vec(), push: None };
+            locate(&self.field, &episode, &settings)
+        };
+        let found = ranges.par_iter().map(one).collect::<Result<Vec<Located>, ContactError>>()?;
+        let with_range: Vec<([usize; 2], &Located)> = ranges.iter().copied().zip(&found).collect();
+        let noise_nmm = (self.noise_nmm2 / self.readings.max(1) as f64).sqrt();
+        let sliding = sliding_contacts(&self.whisker, noise_nmm, &self.rows, &with_range)?;
+        let contact = |((range, found), sliding): (([usize; 2], Located), Option<SlidingContact>)| {
+            let span_s = [self.rows[range[0]].t_s, self.rows[range[1] - 1].t_s];
+            TableContact { range, span_s, found, sliding }
+        };
+        self.contacts = ranges.into_iter().zip(found).zip(sliding).map(contact).collect();
+        Ok(())
+    }
+
+    /// What is stated of the readings of a contact, by their numbers among all.
+    fn stated(&self, number: usize, contact: &TableContact) -> Vec<(usize, Contact)> {
+        let regions = contact.found.posterior.as_ref().map_or_else(Vec::new, Posterior::regions);
+        let [from, to] = contact.range;
+        let at = |k: usize| {
+            let (place, regions, flags): (_, &[Region], _) = match contact.slides() {
+                Some(s) if self.over_object => (&s.places[k], &s.regions[k], Flags::SLIDING_ASSUMED),
+                Some(s) => {
+                    (&s.places[k], &s.regions[k], Flags::SLIDING_ASSUMED.with(Flags::MOTION_DISAGREES))
+                }
+                None => {
+                    let disagrees = contact.found.disagreement.is_some();
+                    let flags = if disagrees { Flags::MOTION_DISAGREES } else { Flags::default() };
+                    (&contact.found.places[k], &regions, flags)
+                }
+            };
+            let on_object = flags != Flags::MOTION_DISAGREES;
+            let (estimate, regions) = (ContactEstimate::of_place(place), regions.to_vec());
+            Contact { estimate, flags, regions, several: None, number: Some(number as u64), on_object }
+        };
+        (0..to - from).map(|k| (self.index[from + k], at(k))).collect()
+    }
+
+    fn messages(&self) -> Vec<Message> {
+        let mut all = Vec::new();
+        let lost: u64 = self.lost.values().sum();
+        if lost > 0 {
+            let why: Vec<String> = self.lost.iter().map(|(name, n)| format!("{name} {n}")).collect();
+            all.push(format!(
+                "the motion of {lost} of {} readings is not known ({}); marked motion-lost in status",
+                self.readings,
+                why.join(", ")
+            ));
+        }
+        let numbered = || self.contacts.iter().enumerate();
+        all.extend(numbered().filter_map(|(n, c)| Some((n, c.slides()?))).map(|(n, s)| {
+            format!(
+                "contact {n}: no fixed point of the object explains the moments, a contact that slides does (log likelihood ratio {:.0} to the \
+                 reversed motion), as it does where motion or calibration are wrong; marked sliding-assumed in status",
+                s.evidence - s.reversed_evidence
+            )
+        }));
+        let fixed = numbered().filter(|(_, c)| c.slides().is_none());
+        all.extend(fixed.filter_map(|(n, c)| {
+            Some(format!(
+                "contact {n}: {}; marked motion-disagrees in status",
+                disagreement_sentence(&c.found)?
+            ))
+        }));
+        if self.contacts.is_empty() {
+            all.push(
+                "no contact: no reading is loaded beyond its noise where the motion is known".to_owned(),
+            );
+        }
+        all.into_iter().map(Message::note).collect()
+    }
+}
+
+impl Estimator for KnownMotionTable {
+    fn push(&mut self, reading: &Reading) -> Result<Vec<Contact>, ContactError> {
+        let number = self.readings;
+        self.readings += 1;
+        if let Err(why) = reading.motion {
+            *self.lost.entry(why.name()).or_default() += 1;
+            self.without.push(number);
+        }
+        self.noise_nmm2 += reading.moments.as_ref().map_or(0.0, |m| 0.5 * m.pose_nmm2.trace());
+        let (Some(m), Ok(motion)) = (&reading.moments, &reading.motion) else { return Ok(Vec::new()) };
+        // A zero of its own, by the noise: two more unknowns that all rows share.
+        let zero = m.pose_nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l() * ZERO);
+        let mut shared_nmm = m.shared_nmm.clone();
+        shared_nmm.extend(zero.column_iter().map(|c| [c[0], c[1]]));
+        self.rows.push(MotionRow {
+            t_s: reading.t_s,
+            moment_nmm: m.moment_nmm,
+            noise_nmm2: m.pose_nmm2,
+            shared_way_mm: Vec::new(),
+            shared_nmm,
+            moved_mm: motion.moved_mm,
+            turn: motion.turn,
+            velocity_mm_s: motion.velocity_mm_s,
+            moved_sd_mm: self.accuracy.moved_sd_mm,
+            free: false,
+            visit: 0,
+        });
+        self.pieces.push(motion.piece);
+        self.index.push(number);
+        Ok(Vec::new())
+    }
+
+    fn finish(&mut self) -> Result<Vec<Contact>, ContactError> {
+        self.locate()?;
+        let mut all = vec![Contact::default(); self.readings];
+        for (n, contact) in self.contacts.iter().enumerate() {
+            for (k, stated) in self.stated(n, contact) {
+                all[k] = stated;
+            }
+        }
+        for k in &self.without {
+            all[*k].flags = all[*k].flags.with(Flags::MOTION_LOST);
+        }
+        Ok(all)
+    }
+
+    fn findings(&self) -> Findings {
+        let contact = |c: &TableContact| {
+            ContactDocument::of_table(&c.found, c.span_s, c.range[1] - c.range[0], c.sliding.as_ref())
+        };
+        let document = EstimatorDocument {
+            method: Some(Method::KnownMotion),
+            place: Some(AXIS_OF_WIRE),
+            contacts: Some(self.contacts.iter().map(contact).collect()),
+            lost_rows: Some(self.lost.clone()),
+            ..EstimatorDocument::default()
+        };
+        let doubt = self.contacts.iter().any(|c| c.slides().is_some() || c.found.disagreement.is_some());
+        let lost = !self.lost.is_empty();
+        Findings { document, messages: self.messages(), lost, doubt, ..Findings::default() }
+    }
+}
+
+/// Rows around one that are of its pose.
+fn same_pose(rows: &[MotionRow], k: usize) -> f64 {
+    let near = |r: &&MotionRow| (r.moved_mm - rows[k].moved_mm).norm() < 0.5 * SAME_POSE_MM;
+    let (before, after) = rows.split_at(k);
+    (before.iter().rev().take_while(near).count() + after.iter().take_while(near).count()).max(1) as f64
+}

@@ -1,0 +1,39 @@
+//! Contacts of a whisker: readings and motion in, places with their regions out.
+//!
+//! ```text
+//! source                          estimator                              sink
+//! table_source, session_groove,   known_motion_table, known_motion_stream,  track_table, track_document
+//! stream_track (scans)            session_groove, network, moments_alone
+//!               Reading  ->  WhiskerTrack { Estimator }  ->  TrackRow, WhiskerDocument, Outcome
+//! ```
+//!
+//! Sources and sinks speak in the base frame of the session, estimators in that of the wire ([`frame`]): lengths in mm, moments in N mm, time in s.
+
+pub mod arc;
+pub mod contact_history;
+mod error;
+pub mod estimator;
+pub mod frame;
+pub mod groove_table;
+pub mod known_groove;
+pub mod known_motion;
+pub mod known_motion_stream;
+pub mod known_motion_table;
+pub mod mesh_score;
+pub mod moments_alone;
+pub mod motion_judge;
+pub mod motion_table;
+pub mod network;
+pub mod reading;
+pub mod session_groove;
+pub mod sliding;
+pub mod sliding_episodes;
+pub mod stream_motion;
+pub mod stream_track;
+pub mod table_source;
+pub mod track_document;
+pub mod track_table;
+pub mod trust;
+pub mod whisker_track;
+
+pub use error::ContactError;

@@ -1,0 +1,87 @@
+//! Readings of whose motion nothing is known: an arc of the wire for every loaded one ([`crate::arc`]), each reading by itself.
+
+use crate::ContactError;
+use crate::arc::{arclength_regions, moments_alone};
+use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
+use crate::known_motion::Lost;
+use crate::reading::{Moments, Reading};
+use crate::track_document::{EstimatorDocument, Method, POINT_OF_OBJECT};
+use std::collections::BTreeMap;
+use wcal_core::WhiskerSpec;
+use wcal_core::stream::Flags;
+use wcal_track::network::Prediction;
+use wcal_track::{InverseGrid, StaticInverse};
+
+/// A wire that is loaded by so many standard deviations touches something.
+const LOADED_SDS: f64 = 4.0;
+
+/// The estimator of moments alone.
+#[derive(Debug)]
+pub struct MomentsAlone {
+    whisker: WhiskerSpec,
+    /// Made at the first loaded reading.
+    inverse: Option<StaticInverse>,
+    /// Loaded readings, by why their motion is not known.
+    lost: BTreeMap<&'static str, u64>,
+    readings: u64,
+}
+
+impl MomentsAlone {
+    /// Of a wire.
+    #[must_use]
+    pub fn new(whisker: &WhiskerSpec) -> Self {
+        Self { whisker: whisker.clone(), inverse: None, lost: BTreeMap::new(), readings: 0 }
+    }
+
+    /// The arc of a reading that is loaded beyond its noise.
+    ///
+    /// # Errors
+    /// Where the wire cannot be bent.
+    pub fn locate(&mut self, m: &Moments, why: Lost) -> Result<Contact, ContactError> {
+        self.readings += 1;
+        // A reading's own noise may be larger than that from pose to pose, which is one of averages.
+        let own = m.own_nmm2.map_or(0.0, |n| n.trace());
+        let sd_nmm = (m.sd_nmm[0].powi(2) + m.sd_nmm[1].powi(2) + own).sqrt();
+        if m.moment_nmm[0].hypot(m.moment_nmm[1]) <= LOADED_SDS * sd_nmm {
+            return Ok(Contact::default());
+        }
+        *self.lost.entry(why.name()).or_default() += 1;
+        if self.inverse.is_none() {
+            self.inverse = Some(StaticInverse::new(&self.whisker, InverseGrid::coarse())?);
+        }
+        let Some(inverse) = &self.inverse else { return Ok(Contact::default()) };
+        let answer = moments_alone(inverse, m.moment_nmm, m.sd_nmm, &Prediction::unknown());
+        let regions = arclength_regions(&inverse.nodes, &answer.weights);
+        let estimate = Some(ContactEstimate::from(&answer));
+        Ok(Contact { estimate, flags: Flags::MOTION_LOST, regions, ..Contact::default() })
+    }
+
+    /// Loaded readings, by why their motion is not known.
+    #[must_use]
+    pub fn lost(&self) -> &BTreeMap<&'static str, u64> {
+        &self.lost
+    }
+}
+
+impl Estimator for MomentsAlone {
+    fn push(&mut self, reading: &Reading) -> Result<Vec<Contact>, ContactError> {
+        let why = reading.motion.as_ref().err().copied().unwrap_or(Lost::Unknown);
+        let contact = reading.moments.as_ref().map(|m| self.locate(m, why)).transpose()?;
+        Ok(vec![contact.unwrap_or_default()])
+    }
+
+    fn findings(&self) -> Findings {
+        let loaded: u64 = self.lost.values().sum();
+        let document = EstimatorDocument {
+            method: Some(Method::MomentsAlone),
+            place: Some(POINT_OF_OBJECT),
+            ..EstimatorDocument::default()
+        };
+        let message = format!(
+            "{loaded} of {} readings are loaded and no motion is known (--motion, --model): each has the arc that its moments allow, with its \
+             regions in arclength_regions95; marked motion-lost in status",
+            self.readings
+        );
+        Findings { document, messages: vec![Message::note(message)], lost: loaded > 0, ..Findings::default() }
+    }
+}

@@ -1,0 +1,80 @@
+//! One reading of a whisker as every source gives it and every estimator takes it.
+//!
+//! ```text
+//! m = m_true + h c + b + n,    c ~ N(0, 1),   b ~ N(0, B),   n ~ N(0, R)
+//! ```
+//!
+//! h: by how much one standard deviation of each unknown that all readings share (calibration, zero) makes the moments too large; B: noise
+//! from pose to pose, one draw for readings of one pose; R: the reading's own noise, where it was measured.
+
+use crate::known_motion::Lost;
+use nalgebra::{Matrix2, Rotation3, Vector3};
+use wcal_core::stream::{Flags, StreamMoments};
+use wcal_track::stream::BasePose;
+
+/// Moments of a reading with the parts of their uncertainty.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Moments {
+    /// Moments, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Standard deviations over all parts, N mm.
+    pub sd_nmm: [f64; 2],
+    /// Whether the calibration vouches for them.
+    pub valid: bool,
+    /// Covariance B of the noise from pose to pose, (N mm)^2.
+    pub pose_nmm2: Matrix2<f64>,
+    /// Covariance R of the reading's own noise, where it was measured, (N mm)^2.
+    pub own_nmm2: Option<Matrix2<f64>>,
+    /// Columns h, N mm; as many in every reading of a source.
+    pub shared_nmm: Vec<[f64; 2]>,
+}
+
+impl Moments {
+    /// As a row of a track states them.
+    #[must_use]
+    pub fn stated(&self) -> StreamMoments {
+        StreamMoments { moment_nmm: self.moment_nmm, sd_nmm: self.sd_nmm, valid: self.valid }
+    }
+}
+
+/// Motion of the object with respect to the base at a reading.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RowMotion {
+    /// Displacement, base frame, mm, up to a constant in the piece: a point is at `turn p + moved`.
+    pub moved_mm: Vector3<f64>,
+    /// Rotation.
+    pub turn: Rotation3<f64>,
+    /// Velocity, mm/s.
+    pub velocity_mm_s: Vector3<f64>,
+    /// Counts up where the motion before says nothing about the one after.
+    pub piece: u32,
+    /// Direction of the push, where it is known.
+    pub push: Option<Vector3<f64>>,
+}
+
+/// What is known at a time.
+#[derive(Debug, Clone)]
+pub struct Reading {
+    /// Number of the reading or of the scan.
+    pub point: i64,
+    /// Time of validity, s.
+    pub t_s: f64,
+    /// What was wrong with the reading.
+    pub flags: Flags,
+    /// Moments; none where the reading cannot be used.
+    pub moments: Option<Moments>,
+    /// Motion, or why it is not known.
+    pub motion: Result<RowMotion, Lost>,
+    /// Pose of the base.
+    pub base: Option<BasePose>,
+    /// Speed of the base along its +z, mm/s.
+    pub base_mm_s: Option<f64>,
+    /// Velocity of the base past what it touches, base frame, mm/s.
+    pub velocity_mm_s: Option<Vector3<f64>>,
+    /// Whether the event detector of a stream sees contact.
+    pub touching: Option<bool>,
+    /// In the beginning of a stream that must be free of contact, before its noise is known.
+    pub in_prefix: bool,
+    /// What happened since the reading before is not known.
+    pub gap: bool,
+}

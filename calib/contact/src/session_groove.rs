@@ -1,0 +1,487 @@
+//! Contact places of a session from its moments and the known way of the groove, and how far they are from the groove.
+
+#[cfg(test)]
+mod tests;
+
+use crate::ContactError;
+use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
+use crate::known_groove::at_most;
+use crate::known_motion::contact_path::ContactPath;
+use crate::known_motion::posterior::REGION;
+use crate::known_motion::{
+    CorrelatedShare, Disagreement, Episode, Friction, Located, Lost, MomentField, MotionRow, Place, Region,
+    Settings, bound_mm, locate, share_correlated,
+};
+use crate::reading::{Moments, Reading};
+use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
+use nalgebra::{Rotation3, Vector3};
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+use wcal_core::observation::MomentAxes;
+use wcal_core::stream::Flags;
+use wcal_core::verify_document::{CalibrationContact, ContactUncertainty, GrooveTracking};
+use wcal_core::{Role, WhiskerData, WhiskerRow, WireFrame};
+use wcal_trace::whisker::WhiskerSystem;
+use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, MovedReading};
+
+/// The rows of a session without the groove's place, so that no answer can come from it; their order stays.
+///
+/// # Errors
+/// Where a loaded row has no stage position, or stands on a trajectory that the session does not describe.
+pub fn without_groove(data: &WhiskerData) -> Result<WhiskerData, ContactError> {
+    let mut blind = data.clone();
+    for row in &mut blind.rows {
+        let place = |row: &WhiskerRow| format!("{}: line {}", row.source, row.line);
+        if row.role != Role::Rest {
+            if row.stage_mm.is_none() {
+                let what = format!("{}: stage_mm", place(row));
+                return Err(ContactError::value(what, "a position (the way of the groove)", "none"));
+            }
+            if row.trajectory.and_then(|id| data.trajectory(id)).is_none() {
+                let what = format!("{}: trajectory", place(row));
+                return Err(ContactError::value(what, "one with a direction in session.toml", "none"));
+            }
+        }
+        row.groove_mm = None;
+    }
+    Ok(blind)
+}
+
+/// A trajectory's readings with what was found.
+pub struct TrackedTrajectory {
+    /// Identifier of the session.
+    pub id: u32,
+    /// Readings in order of time.
+    pub readings: Vec<MovedReading>,
+    /// What they tell.
+    pub found: Located,
+    episode: Episode,
+}
+
+impl TrackedTrajectory {
+    /// Common unknowns of the calibration: the columns before those of the readings' own correlated noise.
+    fn unknowns(&self) -> usize {
+        self.readings.first().map_or(0, |r| r.shared_nmm.len())
+    }
+
+    /// The episode as readings without noise of their own would have it.
+    fn noiseless(&self) -> Episode {
+        const SHARE: f64 = 1e-6;
+        let mut episode = self.episode.clone();
+        for row in &mut episode.rows {
+            row.noise_nmm2 *= SHARE;
+            row.shared_nmm.truncate(self.unknowns());
+            row.shared_way_mm.truncate(self.unknowns());
+        }
+        episode
+    }
+
+    /// Size of the largest moment, and its standard deviation by the calibration's common unknowns, N mm.
+    fn largest_moment(&self) -> [f64; 2] {
+        let size = |r: &MotionRow| r.moment_nmm[0].hypot(r.moment_nmm[1]);
+        let largest = self.episode.rows.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
+        largest.map_or([0.0; 2], |r| {
+            let along = |h: &[f64; 2]| (h[0] * r.moment_nmm[0] + h[1] * r.moment_nmm[1]) / size(r).max(1e-12);
+            let shared = &r.shared_nmm[..self.unknowns()];
+            [size(r), shared.iter().map(|h| along(h).powi(2)).sum::<f64>().sqrt()]
+        })
+    }
+}
+
+/// A located place beside the groove's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Compared {
+    /// Identifier of the trajectory.
+    pub trajectory: u32,
+    /// True arc length at which the free wire is met, mm.
+    pub arclength_mm: f64,
+    /// Distance in space, mm.
+    pub error_mm: f64,
+    /// Cramer-Rao bound of that distance, mm, and without the readings' own noise.
+    pub bound_mm: f64,
+    /// See `bound_mm`.
+    pub bound_by_map_mm: f64,
+    /// Largest moment of the trajectory and its standard deviation by what all readings share, N mm.
+    pub moment_nmm: [f64; 2],
+    /// Whether the 95 % region holds the groove.
+    pub held: bool,
+    /// Whether moments and motion disagree on the trajectory.
+    pub doubted: bool,
+}
+
+/// A session whose contact was located.
+pub struct TrackedSession {
+    field: MomentField,
+    frame: WireFrame,
+    wire: AcceptedWire,
+    /// Trajectories in the session's order.
+    pub trajectories: Vec<TrackedTrajectory>,
+}
+
+/// The moments of a wire with its accepted mechanics.
+pub fn moment_field(wire: &AcceptedWire, axes: &MomentAxes) -> MomentField {
+    let friction = match wire.friction {
+        mu if mu > 0.0 => Friction { coefficient: mu, moving_share: wire.moving_share },
+        _ => Friction::NONE,
+    };
+    MomentField::new(&wire.rod, axes, friction)
+}
+
+/// The frame of a session's wire; the base's own where the clamp of an accepted wire yields, which is given about the base's axes.
+fn session_frame(
+    system: &WhiskerSystem,
+    wire: &AcceptedWire,
+    changed: &[AcceptedWire],
+) -> Result<WireFrame, ContactError> {
+    let yields = |w: &AcceptedWire| w.rod.compliance_rad_per_nmm != 0.0;
+    if yields(wire) || changed.iter().any(yields) {
+        return Ok(WireFrame::default());
+    }
+    WireFrame::new(&system.data.whisker, &system.data.moments)
+        .map_err(|e| ContactError::value(e.key, e.expected, e.found))
+}
+
+/// The moments of a wire of a session in a frame.
+fn turned_field(wire: &AcceptedWire, frame: &WireFrame, axes: &MomentAxes) -> MomentField {
+    match wire.rod.turned(&frame.rotation()).filter(|_| !frame.is_base()) {
+        Some(rod) => moment_field(&AcceptedWire { rod, ..wire.clone() }, &MomentAxes::default()),
+        None => moment_field(wire, axes),
+    }
+}
+
+/// Locates the contact on each trajectory; `chosen` tells which readings of the system's path are used.
+///
+/// # Errors
+/// Where moments or motion cannot be used.
+pub fn track(
+    system: &WhiskerSystem,
+    motion: GrooveMotion,
+    chosen: impl Fn(usize) -> bool,
+) -> Result<TrackedSession, ContactError> {
+    let GrooveMotion { wire, changed, readings, correlated } = motion;
+    let correlated = correlated
+        .map(|[variance_share, time_constant_s]| CorrelatedShare { variance_share, time_constant_s });
+    let frame = session_frame(system, &wire, &changed)?;
+    let table = |wire: &AcceptedWire| turned_field(wire, &frame, &system.data.moments);
+    let field = table(&wire).with_changed(changed.iter().map(table).collect());
+    let mut by_line: BTreeMap<usize, Vec<MovedReading>> = BTreeMap::new();
+    for reading in readings.into_iter().filter(|r| chosen(r.reading)) {
+        by_line.entry(reading.line).or_default().push(reading);
+    }
+    let located = |(line, readings): (usize, Vec<MovedReading>)| -> Result<TrackedTrajectory, ContactError> {
+        let trajectory = &system.data.trajectories[line];
+        let direction = frame.rotation() * trajectory.direction;
+        let mut rows: Vec<MotionRow> = readings
+            .iter()
+            .map(|r| MotionRow {
+                t_s: r.t_s,
+                moment_nmm: frame.moment(r.moment_nmm),
+                noise_nmm2: frame.covariance(&r.noise_nmm2),
+                shared_nmm: r.shared_nmm.iter().map(|h| frame.moment(*h)).collect(),
+                shared_way_mm: r.shared_way_mm.iter().map(|w| direction * *w).collect(),
+                moved_mm: direction * r.stage_mm,
+                velocity_mm_s: direction * r.velocity_mm_s,
+                moved_sd_mm: 0.0,
+                turn: Rotation3::identity(),
+                free: r.rest,
+                visit: r.visit,
+            })
+            .collect();
+        if let Some(noise) = &correlated {
+            share_correlated(&mut rows, noise);
+        }
+        let episode = Episode { rows, push: Some(direction) };
+        let found = locate(&field, &episode, &Settings::default())?;
+        Ok(TrackedTrajectory { id: trajectory.id, readings, found, episode })
+    };
+    let trajectories = by_line.into_par_iter().map(located).collect::<Result<Vec<_>, ContactError>>()?;
+    Ok(TrackedSession { field, frame, wire, trajectories })
+}
+
+impl TrackedSession {
+    /// Place at a reading of the system's path, with the trajectory's disagreement.
+    pub fn places(&self) -> BTreeMap<usize, (Place, Option<Disagreement>)> {
+        let of = |t: &TrackedTrajectory| -> Vec<(usize, (Place, Option<Disagreement>))> {
+            let back = self.frame.rotation().inverse();
+            let in_base = |p: &Place| match self.frame.is_base() {
+                true => p.clone(),
+                false => Place {
+                    place_mm: p.place_mm.map(|at| back * at),
+                    covariance_mm2: back * p.covariance_mm2 * back.inverse(),
+                    ..p.clone()
+                },
+            };
+            let at = |(r, p): (&MovedReading, &Place)| (r.reading, (in_base(p), t.found.disagreement));
+            t.readings.iter().zip(&t.found.places).map(at).collect()
+        };
+        self.trajectories.iter().flat_map(of).collect()
+    }
+
+    /// The places beside the groove's, which `groove` gives by reading where it is known; in the order of the trajectories.
+    ///
+    /// # Errors
+    /// Where the bound cannot be computed.
+    pub fn compared(
+        &self,
+        system: &WhiskerSystem,
+        groove: impl Fn(usize) -> Option<Vector3<f64>>,
+    ) -> Result<Vec<Compared>, ContactError> {
+        let settings = Settings::default();
+        let mut all = Vec::new();
+        for t in &self.trajectories {
+            let Some(posterior) = &t.found.posterior else { continue };
+            let Some(path) = ContactPath::new(&self.field, &t.episode) else { continue };
+            let mut bound = None;
+            for (k, (reading, place)) in t.readings.iter().zip(&t.found.places).enumerate() {
+                let (Some(groove), Some(at)) = (groove(reading.reading), place.place_mm) else { continue };
+                if reading.rest {
+                    continue;
+                }
+                let trajectory = &system.data.trajectories[reading.line];
+                let truth = groove + trajectory.direction * reading.added_mm + self.wire.offset_mm;
+                let truth = self.frame.rotation() * truth;
+                let Some(state) = path.state_of(&truth, k, trajectory.nominal_arclength_mm) else { continue };
+                if bound.is_none() {
+                    let of = |episode| bound_mm(&self.field, episode, &settings, &state);
+                    bound = of(&t.episode)?.zip(of(&t.noiseless())?);
+                }
+                let Some((bound_mm, bound_by_map_mm)) = bound else { continue };
+                all.push(Compared {
+                    trajectory: t.id,
+                    arclength_mm: state.s_mm,
+                    error_mm: (at - truth).norm(),
+                    bound_mm,
+                    bound_by_map_mm,
+                    moment_nmm: t.largest_moment(),
+                    held: posterior.holds(&state),
+                    doubted: t.found.disagreement.is_some(),
+                });
+            }
+        }
+        Ok(all)
+    }
+
+    /// 95 % regions over the arc length of first touch, by line.
+    pub fn regions(&self) -> BTreeMap<usize, Vec<Region>> {
+        let of =
+            |t: &TrackedTrajectory| Some((t.readings.first()?.line, t.found.posterior.as_ref()?.regions()));
+        self.trajectories.iter().filter_map(of).collect()
+    }
+
+    /// What was found on each trajectory, for track.json.
+    pub fn document(&self) -> Vec<ContactDocument> {
+        let of = |t: &TrackedTrajectory| ContactDocument::of_trajectory(t.id, &t.found, t.readings.len());
+        self.trajectories.iter().map(of).collect()
+    }
+
+    /// What speaks against motion and moments, trajectory by trajectory.
+    pub fn disagreements(&self) -> Vec<String> {
+        let of = |t: &TrackedTrajectory| {
+            Some(format!("trajectory {}: {}", t.id, disagreement_sentence(&t.found)?))
+        };
+        self.trajectories.iter().filter_map(of).collect()
+    }
+}
+
+/// A session along the known way of its groove, as an estimator: all readings are known beforehand.
+pub struct SessionGroove {
+    tracked: TrackedSession,
+    /// Number of each reading in the system's path, in order of time.
+    order: Vec<usize>,
+    /// The comparison with the groove, once its place may be known.
+    groove: Option<GrooveTracking>,
+}
+
+/// A session's readings through a calibration, in order of time, with the estimator that knows their motion.
+///
+/// # Errors
+/// Where moments or motion cannot be used.
+pub fn session_readings(
+    system: &WhiskerSystem,
+    motion: GrooveMotion,
+) -> Result<(Vec<Reading>, SessionGroove), ContactError> {
+    let one = |r: &MovedReading| {
+        let sd = |c: usize| {
+            let shared: f64 = r.shared_nmm.iter().map(|h| h[c] * h[c]).sum();
+            (r.noise_nmm2[(c, c)] + shared).sqrt()
+        };
+        let moments = Moments {
+            moment_nmm: r.moment_nmm,
+            sd_nmm: [sd(0), sd(1)],
+            valid: r.valid,
+            pose_nmm2: r.noise_nmm2,
+            own_nmm2: None,
+            shared_nmm: r.shared_nmm.clone(),
+        };
+        Reading {
+            point: system.row(r.reading).point,
+            t_s: r.t_s,
+            flags: Flags::default(),
+            moments: Some(moments),
+            // Each trajectory has its own way, which the estimator knows.
+            motion: Err(Lost::Unknown),
+            base: None,
+            base_mm_s: None,
+            velocity_mm_s: None,
+            touching: None,
+            in_prefix: false,
+            gap: false,
+        }
+    };
+    let readings = motion.readings.iter().map(one).collect();
+    let order = motion.readings.iter().map(|r| r.reading).collect();
+    let tracked = track(system, motion, |_| true)?;
+    Ok((readings, SessionGroove { tracked, order, groove: None }))
+}
+
+impl SessionGroove {
+    /// Compares the answers with the groove, whose place `known` gives by reading of the system's path.
+    ///
+    /// # Errors
+    /// Where the bound cannot be computed.
+    pub fn compare(
+        &mut self,
+        system: &WhiskerSystem,
+        known: impl Fn(usize) -> Option<Vector3<f64>>,
+    ) -> Result<Option<GrooveTracking>, ContactError> {
+        self.groove = groove_tracking(&self.tracked.compared(system, known)?, "fit");
+        Ok(self.groove.clone())
+    }
+}
+
+impl Estimator for SessionGroove {
+    fn push(&mut self, _: &Reading) -> Result<Vec<Contact>, ContactError> {
+        Ok(Vec::new())
+    }
+
+    fn finish(&mut self) -> Result<Vec<Contact>, ContactError> {
+        let (places, regions) = (self.tracked.places(), self.tracked.regions());
+        let lines = self.tracked.trajectories.iter().flat_map(|t| &t.readings);
+        let lines: BTreeMap<usize, usize> = lines.map(|r| (r.reading, r.line)).collect();
+        let one = |reading: &usize| {
+            let (place, disagreement) = places.get(reading)?;
+            let flags = disagreement.map_or_else(Flags::default, |_| Flags::MOTION_DISAGREES);
+            let regions = regions.get(lines.get(reading)?).cloned().unwrap_or_default();
+            Some(Contact { estimate: ContactEstimate::of_place(place), flags, regions, ..Contact::default() })
+        };
+        Ok(self.order.iter().map(|r| one(r).unwrap_or_default()).collect())
+    }
+
+    fn findings(&self) -> Findings {
+        let document = EstimatorDocument {
+            method: Some(Method::KnownMotion),
+            place: Some(AXIS_OF_WIRE),
+            trajectories: Some(self.tracked.document()),
+            ..EstimatorDocument::default()
+        };
+        let disagreements = self.tracked.disagreements();
+        let doubt = !disagreements.is_empty();
+        let marked = |said: String| Message::note(format!("{said}; marked motion-disagrees in status"));
+        let mut messages: Vec<Message> = disagreements.into_iter().map(marked).collect();
+        messages.extend(self.groove.as_ref().map(|g| Message::note(groove_sentence(g))));
+        let misstated = self.groove.as_ref().is_some_and(misstated);
+        Findings { document, messages, doubt, misstated, ..Findings::default() }
+    }
+}
+
+/// What speaks against motion and moments; none where nothing does.
+pub fn disagreement_sentence(found: &Located) -> Option<String> {
+    let (i, said) = (&found.innovations, found.disagreement?.sentence());
+    Some(format!("{said} (chi2 {:.0} for {:.0} degrees of freedom)", i.plain, i.dof))
+}
+
+/// Trajectories of which fewer than half of the readings lie in their regions.
+fn lost(compared: &[Compared]) -> usize {
+    let mut by_trajectory: BTreeMap<u32, [usize; 2]> = BTreeMap::new();
+    for c in compared {
+        by_trajectory.entry(c.trajectory).or_default()[usize::from(c.held)] += 1;
+    }
+    by_trajectory.values().filter(|[outside, inside]| inside < outside).count()
+}
+
+/// Whether the groove is not where it was said to be: the stated regions hold too few trajectories for an accident, and the error is more than
+/// the bound explains. Of nine trajectories three that miss by hundredths of a millimetre happen where the noise is that small.
+pub fn misstated(t: &GrooveTracking) -> bool {
+    const LEVEL: f64 = 0.01;
+    const MAX_ERROR_OVER_BOUND: f64 = 1.3;
+    at_most(t.trajectories_held, t.trajectories, REGION) < LEVEL
+        && t.rmse_mm > MAX_ERROR_OVER_BOUND * t.bound_mm
+}
+
+/// k of expanded uncertainties.
+const COVERAGE_FACTOR: f64 = 2.0;
+
+/// Expanded uncertainties by arc length of first touch, to whole millimetres.
+fn uncertainty(compared: &[Compared]) -> Vec<ContactUncertainty> {
+    let mut by_arclength: BTreeMap<i64, BTreeMap<u32, Compared>> = BTreeMap::new();
+    for c in compared {
+        by_arclength.entry(c.arclength_mm.round() as i64).or_default().insert(c.trajectory, *c);
+    }
+    let of = |(at, each): (i64, BTreeMap<u32, Compared>)| {
+        let rms = |of: fn(&Compared) -> f64| {
+            (each.values().map(|c| of(c).powi(2)).sum::<f64>() / each.len() as f64).sqrt()
+        };
+        ContactUncertainty {
+            arclength_mm: at as f64,
+            trajectories: each.len(),
+            moment_nmm: rms(|c| c.moment_nmm[0]),
+            moment_u_nmm: COVERAGE_FACTOR * rms(|c| c.moment_nmm[1]),
+            contact_u_by_map_mm: COVERAGE_FACTOR * rms(|c| c.bound_by_map_mm),
+            contact_u_mm: COVERAGE_FACTOR * rms(|c| c.bound_mm),
+        }
+    };
+    by_arclength.into_iter().map(of).collect()
+}
+
+/// Errors, bound and coverage over readings; none where nothing was compared.
+pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTracking> {
+    let n = compared.len() as f64;
+    let rms = |of: fn(&Compared) -> f64| (compared.iter().map(|c| of(c).powi(2)).sum::<f64>() / n).sqrt();
+    let trajectories = |of: fn(&Compared) -> bool| {
+        compared.iter().filter(|c| of(c)).map(|c| c.trajectory).collect::<BTreeSet<_>>().len()
+    };
+    (!compared.is_empty()).then(|| GrooveTracking {
+        rmse_mm: rms(|c| c.error_mm),
+        bound_mm: rms(|c| c.bound_mm),
+        coverage95: compared.iter().filter(|c| c.held).count() as f64 / n,
+        points: compared.len(),
+        trajectories: trajectories(|_| true),
+        trajectories_held: trajectories(|_| true) - lost(compared),
+        doubted: trajectories(|c| c.doubted),
+        split: split.to_owned(),
+        uncertainty: uncertainty(compared),
+    })
+}
+
+/// What the tracked groove tells a calibration's user of contacts; none where no trajectory was compared.
+pub fn calibration_contact(t: &GrooveTracking) -> Option<CalibrationContact> {
+    const METHOD: &str = "Bayesian Cramer-Rao bound of the contact on the session's trajectories, motion known: covariance of the calibration, \
+                          noise of the readings, place of the free wire; root mean square over the trajectories of an arc length";
+    (!t.uncertainty.is_empty()).then(|| CalibrationContact {
+        coverage_factor: COVERAGE_FACTOR,
+        method: METHOD.to_owned(),
+        split: t.split.clone(),
+        rows: t.uncertainty.clone(),
+    })
+}
+
+/// For people.
+pub fn contact_sentence(c: &CalibrationContact) -> String {
+    let at = |u: &ContactUncertainty| format!("{:.2} mm at {:.0} mm", u.contact_u_mm, u.arclength_mm);
+    let rows: Vec<String> = c.rows.iter().map(at).collect();
+    format!("this calibration: contact U (k = {}, motion known) {}", c.coverage_factor, rows.join(", "))
+}
+
+/// For people.
+pub fn groove_sentence(t: &GrooveTracking) -> String {
+    let of = if t.split == "holdout" { "held-out readings" } else { "readings" };
+    format!(
+        "tracker on the groove: {:.2} mm RMS at {} {of}, bound {:.2} mm (error / bound {:.2}); the stated 95 % regions hold the groove on {} of {} trajectories",
+        t.rmse_mm,
+        t.points,
+        t.bound_mm,
+        t.rmse_mm / t.bound_mm,
+        t.trajectories_held,
+        t.trajectories
+    )
+}

@@ -1,0 +1,478 @@
+//! The tracks of a stream: scans in, rows and events out, whisker by whisker.
+
+use crate::ContactError;
+use crate::estimator::{Estimator, Message};
+use crate::known_groove::{KnownGroove, KnownPlace};
+use crate::known_motion::{MomentField, MotionLog};
+use crate::known_motion_stream::{KnownMotionStream, MotionAccuracy};
+use crate::reading::{Moments, Reading};
+use crate::session_groove::moment_field;
+use crate::stream_motion::{StreamMotion, kernel};
+use crate::track_document::{
+    FilterDocument, NoiseDocument, StreamDocument, StreamMotionDocument, StreamedWhisker, TimeDocument,
+};
+use crate::track_table::{TrackFiles, TrackRow, event_message};
+use crate::trust::WhiskerModel;
+use crate::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
+use nalgebra::Vector3;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use wcal_acquisition::clock_watch::{ClockFault, ClockWatch};
+use wcal_acquisition::clocks::ClockPair;
+use wcal_acquisition::message::{StagePosition, SweepEvent};
+use wcal_acquisition::rig::Rig;
+use wcal_acquisition::tracks::TrackChannels;
+use wcal_acquisition::whisker_reader::WhiskerReader;
+use wcal_core::WhiskerSpec;
+use wcal_core::device::FbgReading;
+use wcal_core::observation::MomentAxes;
+use wcal_core::stream::MomentSpread;
+use wcal_track::stream::{Row, SignalChain, SignalChainSettings, first_mode_hz};
+
+/// The moments' table is filled so far from the wire while the stream begins, mm.
+const REACH_MM: f64 = 8.0;
+
+/// What the user decides of a stream.
+#[derive(Debug, Clone)]
+pub struct StreamSettings {
+    /// Rows a second.
+    pub rate_hz: f64,
+    /// Lag of the filter, s.
+    pub lag_s: f64,
+    /// Beginning without contact, s.
+    pub prefix_s: f64,
+    /// False events an hour at most.
+    pub false_alarms_per_hour: f64,
+    /// Time whose mean moments are the zero, s.
+    pub tare_s: f64,
+    /// Class of what is touched.
+    pub object_class: Option<String>,
+    /// Speed of the base along +z, where it is constant and known, mm/s.
+    pub base_mm_s: Option<f64>,
+    /// The user vouches for a motion as in training where it is not known.
+    pub vouched: bool,
+    /// What is assumed of the motion.
+    pub accuracy: MotionAccuracy,
+    /// Recording that is written.
+    pub mcap: Option<PathBuf>,
+}
+
+/// One whisker of a stream.
+struct Whisker<'a> {
+    loaded: &'a WhiskerModel<'a>,
+    whisker: WhiskerSpec,
+    doubts: String,
+    reader: WhiskerReader,
+    chain: SignalChain,
+    track: WhiskerTrack<'a>,
+    /// Middle of the free wire, base frame, and what the calibration adds to the declared place of the groove, mm.
+    middle_mm: Vector3<f64>,
+    offset_mm: Vector3<f64>,
+    kernel: Vec<(f64, f64)>,
+    /// Rows are in the beginning without contact until then, s; a network asks for none.
+    prefix_s: f64,
+    unusable: u64,
+    events: BTreeMap<&'static str, u64>,
+}
+
+/// The tracks of all whiskers with what they share.
+pub struct StreamTracks<'a> {
+    all: Vec<Whisker<'a>>,
+    motion: StreamMotion,
+    stream: StreamSettings,
+    clocks: ClockPair,
+    clock_watch: ClockWatch,
+    clock_scale: f64,
+    clock_faults: Vec<ClockFault>,
+    /// Sum of the clock's steps, s.
+    stepped_s: f64,
+    origin_s: Option<f64>,
+    scans: u64,
+    lost: u64,
+    gaps: u64,
+    next_serial: Option<u64>,
+    settings: SignalChainSettings,
+    /// Time in filters, maps and detectors, and in the network.
+    spent: [Duration; 2],
+    /// When the first scan was taken, and how long the stream is, s.
+    begun: Option<Instant>,
+    stream_s: f64,
+}
+
+impl<'a> StreamTracks<'a> {
+    /// Whiskers of a rig; a log takes the place of the stage's motion.
+    ///
+    /// # Errors
+    /// Where gratings, calibration, filter or base do not fit.
+    pub fn new(
+        stream: StreamSettings,
+        (place, rig): (&str, &Rig),
+        loaded: &'a [WhiskerModel<'a>],
+        log: Option<MotionLog>,
+    ) -> Result<Self, ContactError> {
+        let settings = SignalChainSettings {
+            rate_hz: rig.interrogator.rate_hz,
+            out_hz: stream.rate_hz,
+            lag_s: stream.lag_s,
+            prefix_s: stream.prefix_s,
+            false_alarms_per_hour: stream.false_alarms_per_hour,
+            first_mode_hz: 0.0,
+        };
+        let one = |l: &'a WhiskerModel<'a>| Whisker::new(&stream, &settings, (place, rig), l);
+        Ok(Self {
+            all: loaded.iter().map(one).collect::<Result<_, ContactError>>()?,
+            motion: StreamMotion::new(place, rig, stream.base_mm_s, log)?,
+            stream,
+            clocks: ClockPair::default(),
+            clock_watch: ClockWatch::new(rig.clock_scale),
+            clock_scale: rig.clock_scale,
+            clock_faults: Vec::new(),
+            stepped_s: 0.0,
+            origin_s: None,
+            scans: 0,
+            lost: 0,
+            gaps: 0,
+            next_serial: None,
+            settings,
+            spent: [Duration::ZERO; 2],
+            begun: None,
+            stream_s: 0.0,
+        })
+    }
+
+    /// Names.
+    pub fn names(&self) -> Vec<String> {
+        self.all.iter().map(|w| w.loaded.name.clone()).collect()
+    }
+
+    /// Time since the first scan by the device's clock without its steps, s.
+    pub fn elapsed_s(&self, reading: &FbgReading) -> f64 {
+        let now = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
+        self.origin_s.map_or(0.0, |origin| now - origin - self.stepped_s)
+    }
+
+    /// Hears what time a scan states, before it is tracked; what the clock has done, where it steps or stands still.
+    pub fn hear(&mut self, reading: &FbgReading) -> Option<ClockFault> {
+        let now = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
+        let fault = self.clock_watch.take(reading.serial, reading.clocks.host_s, now)?;
+        if let ClockFault::Step { step_s, .. } = fault {
+            self.stepped_s += step_s;
+        }
+        self.clock_faults.push(fault);
+        Some(fault)
+    }
+
+    /// Whether the clock may have stepped just now.
+    pub fn doubts_clock(&self) -> bool {
+        self.clock_watch.is_unsure()
+    }
+
+    /// Another recording follows: between two of them a clock may be set.
+    pub fn begin_recording(&mut self) {
+        self.clock_watch = ClockWatch::new(self.clock_scale);
+    }
+
+    /// What the clock did so far that no clock does.
+    pub fn clock_faults(&self) -> &[ClockFault] {
+        &self.clock_faults
+    }
+
+    /// Takes a position of the stage that carries the base.
+    pub fn stage(&mut self, position: &StagePosition) {
+        if let Some(origin_s) = self.origin_s
+            && let Some(device_s) = self.clocks.device_s(position.host_s)
+        {
+            self.motion.stage(device_s - origin_s, position.measured_mm);
+        }
+    }
+
+    /// Takes what a sweep did.
+    pub fn sweep_event(&mut self, event: &SweepEvent) {
+        self.motion.sweep_event(event);
+    }
+
+    /// Compares answers with the groove of the session's readings; `whisker` is whose session it is, none where the rig has one alone.
+    pub fn know_groove(&mut self, places: &[KnownPlace], whisker: Option<&str>) {
+        let one = self.all.len() == 1;
+        for w in self.all.iter_mut().filter(|w| one || whisker.is_some_and(|id| id == w.loaded.name)) {
+            let moved = |p: &KnownPlace| KnownPlace { groove_mm: p.groove_mm + w.offset_mm, ..*p };
+            w.track.know_groove(KnownGroove::new(places.iter().map(moved).collect(), &w.whisker));
+        }
+    }
+
+    /// Takes a scan. `dropped`: scans before it were dropped on this side.
+    ///
+    /// # Errors
+    /// Where the stream is not the one that the rig describes, or the disk takes no more.
+    pub fn scan(
+        &mut self,
+        reading: &FbgReading,
+        dropped: bool,
+        files: &mut TrackFiles,
+        channels: Option<&TrackChannels>,
+    ) -> Result<(), ContactError> {
+        let device_s = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
+        self.origin_s.get_or_insert(device_s);
+        self.clocks.add(reading.clocks.host_s, device_s);
+        self.begun.get_or_insert_with(Instant::now);
+        self.stream_s = self.elapsed_s(reading);
+        self.scans += 1;
+        if let Some(next) = self.next_serial.filter(|next| reading.serial != *next) {
+            self.gaps += 1;
+            self.lost += reading.serial.saturating_sub(next);
+        }
+        self.next_serial = Some(reading.serial + 1);
+        for w in &mut self.all {
+            let start = Instant::now();
+            let sensed = w.reader.take(reading, dropped)?;
+            w.unusable += u64::from(sensed.shift_pm.is_none());
+            let (row, event) = w.chain.push(&sensed);
+            self.spent[0] += start.elapsed();
+            if let Some(event) = event {
+                *w.events.entry(event.kind.name()).or_default() += 1;
+                files.event(&w.loaded.name, &w.doubts, &event)?;
+                if let Some(channels) = channels {
+                    channels.event(reading.clocks.host_s, &event_message(&w.loaded.name, &event));
+                }
+            }
+            if let Some(row) = row {
+                let start = Instant::now();
+                let rows = w.row(&row, &self.motion)?;
+                self.spent[1] += start.elapsed();
+                for row in rows {
+                    files.row(&row)?;
+                    if let Some(channels) = channels {
+                        channels.contact(reading.clocks.host_s, &row.message());
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Scans that are missing, that a whisker could not use, and events that a gap cut off.
+    pub fn lost(&self) -> [u64; 3] {
+        let unusable = self.all.iter().map(|w| w.unusable).sum();
+        [self.lost, unusable, self.all.iter().map(|w| w.chain.detector().cut_off()).sum()]
+    }
+
+    /// Whiskers that never had a quiet prefix: no events were detected.
+    pub fn unheard(&self) -> Vec<&str> {
+        let silent = self.all.iter().filter(|w| w.chain.detector().noise().is_none());
+        silent.map(|w| w.loaded.name.as_str()).collect()
+    }
+
+    /// Ends the contacts at hand: the stream is over; the rows that are left.
+    ///
+    /// # Errors
+    /// Where the disk takes no more.
+    pub fn end(&mut self, files: &mut TrackFiles) -> Result<(), ContactError> {
+        for w in &mut self.all {
+            for row in w.track.finish()? {
+                files.row(&row)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The track of each whisker.
+    pub fn tracks(&self) -> impl Iterator<Item = &WhiskerTrack<'a>> {
+        self.all.iter().map(|w| &w.track)
+    }
+
+    /// What was found: for track.json, for people, and for the exit code. `dropped`: scans that the tracker dropped.
+    #[must_use]
+    pub fn findings(&self, cut_off: Option<Vec<String>>, dropped: u64) -> StreamFindings {
+        let filter = self.all.first().map(|w| w.chain.filter());
+        let seconds = |d: Duration| d.as_secs_f64();
+        let wall_s = self.begun.map(|b| seconds(b.elapsed()));
+        let (mut messages, mut outcome) = (Vec::new(), Outcome::default());
+        let mut whiskers = Vec::with_capacity(self.all.len());
+        for w in &self.all {
+            let found = w.track.findings();
+            let name = w.track.name();
+            let whose = if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
+            messages.extend(found.messages.iter().map(|m: &Message| m.line(&whose)));
+            outcome = outcome.and(found.outcome);
+            whiskers.push(w.document(found.document));
+        }
+        let document = StreamDocument {
+            mcap: self.stream.mcap.clone(),
+            rate_hz: self.stream.rate_hz,
+            prefix_s: self.stream.prefix_s,
+            false_alarms_per_hour: self.stream.false_alarms_per_hour,
+            cut_off,
+            dropped_scans: dropped,
+            scans: self.scans,
+            gaps: self.gaps,
+            lost_scans: self.lost,
+            scan_rate_hz: self.settings.rate_hz,
+            lag_s: filter.map(|f| f.lag_s()),
+            tare_s: self.stream.tare_s,
+            object_class: self.stream.object_class.clone(),
+            filter: filter.map(|f| FilterDocument {
+                kind: "linear-phase, Hann-windowed sinc",
+                gain_1_hz: f.gain(1.0),
+                gain_5_hz: f.gain(5.0),
+                gain_10_hz: f.gain(10.0),
+                gain_34_hz: f.gain(34.0),
+                noise_gain: f.noise_gain(),
+            }),
+            origin_device_s: self.origin_s,
+            time: TimeDocument {
+                stream_s: self.stream_s,
+                wall_s,
+                times_real_time: wall_s.map(|wall| self.stream_s / wall),
+                chain_us_per_scan: seconds(self.spent[0]) * 1e6 / (self.scans.max(1) as f64),
+                network_s: seconds(self.spent[1]),
+            },
+            whiskers,
+            stream_motion: self.motion_document(),
+        };
+        StreamFindings { document, messages, outcome }
+    }
+
+    /// Where the motion comes from; none where networks locate the contacts.
+    fn motion_document(&self) -> Option<StreamMotionDocument> {
+        let log = self.motion.log();
+        self.all.iter().all(|w| w.loaded.network.is_none()).then(|| StreamMotionDocument {
+            source: self.motion.source(),
+            span_s: log.map(MotionLog::span_s),
+            jump_lines: log.map(|l| l.jumps().collect()),
+        })
+    }
+}
+
+/// What the tracks of a stream found.
+#[derive(Debug, Clone)]
+pub struct StreamFindings {
+    /// For track.json.
+    pub document: StreamDocument,
+    /// For people, one sentence a line.
+    pub messages: Vec<String>,
+    /// For the exit code.
+    pub outcome: Outcome,
+}
+
+impl<'a> Whisker<'a> {
+    fn new(
+        stream: &StreamSettings,
+        settings: &SignalChainSettings,
+        (place, rig): (&str, &Rig),
+        l: &'a WhiskerModel<'a>,
+    ) -> Result<Self, ContactError> {
+        let calibration = l.calibration()?;
+        let map = calibration.stream().map_err(ContactError::in_file(&l.place))?;
+        let (frame, whisker) = (l.frame()?, l.whisker()?);
+        let chain = SignalChain::new(
+            &SignalChainSettings { first_mode_hz: first_mode_hz(&whisker), ..*settings },
+            map,
+        )?;
+        let (estimator, middle_mm, offset_mm): (Box<dyn Estimator + 'a>, _, _) =
+            match l.estimator(stream.vouched) {
+                Some(network) => (Box::new(network), Vector3::zeros(), Vector3::zeros()),
+                None => {
+                    let (field, offset_mm) = field(l, &whisker)?;
+                    let middle_mm = frame.rotation().inverse() * field.free(0.5 * field.length_mm()).0;
+                    // The prefix is long enough; a reading that comes sooner solves what it needs itself.
+                    let filled = Arc::clone(&field);
+                    std::thread::spawn(move || filled.fill(REACH_MM));
+                    let own = KnownMotionStream::new(field, &whisker, stream.accuracy);
+                    (Box::new(own), middle_mm, offset_mm)
+                }
+            };
+        let facts = WhiskerFacts {
+            name: l.name.clone(),
+            doubt_codes: l.doubts.codes(),
+            doubts: l.doubts.messages(),
+            calibration_sha256: l.file.content_sha256.clone(),
+        };
+        Ok(Self {
+            loaded: l,
+            whisker,
+            doubts: l.doubts.codes(),
+            reader: WhiskerReader::new(place, &rig.interrogator, &l.name, calibration.fbg())?,
+            kernel: kernel(chain.filter()),
+            chain,
+            track: WhiskerTrack::new(facts, (frame, estimator), stream.tare_s, true),
+            middle_mm,
+            offset_mm,
+            prefix_s: stream.prefix_s,
+            unusable: 0,
+            events: BTreeMap::new(),
+        })
+    }
+
+    /// The rows that a row of the filter settles.
+    fn row(&mut self, row: &Row, motion: &StreamMotion) -> Result<Vec<TrackRow>, ContactError> {
+        let known = motion.at(row.t_s);
+        let MomentSpread { noise_nmm2, shared_nmm } = self.chain.spread();
+        let moments = row.moments.map(|m| Moments {
+            moment_nmm: m.moment_nmm,
+            sd_nmm: m.sd_nmm,
+            valid: m.valid,
+            pose_nmm2: noise_nmm2,
+            own_nmm2: self.chain.row_noise_nmm2(),
+            shared_nmm,
+        });
+        self.track.push(Reading {
+            point: i64::try_from(row.serial).unwrap_or(i64::MAX),
+            t_s: row.t_s,
+            flags: row.flags,
+            // What happened in between is not known.
+            gap: moments.is_none(),
+            moments,
+            motion: motion.relative(row.t_s, &self.kernel, &self.middle_mm),
+            base: known.base,
+            base_mm_s: known.base_mm_s,
+            velocity_mm_s: known.velocity_mm_s,
+            touching: row.touching,
+            in_prefix: row.touching.is_none() && row.t_s < self.prefix_s,
+        })
+    }
+
+    fn document(&self, rows: crate::track_document::WhiskerDocument) -> StreamedWhisker {
+        let noise = self.chain.detector().noise().map(|(noise, limits)| NoiseDocument {
+            block_sd_nmm: [noise.block[(0, 0)].sqrt(), noise.block[(1, 1)].sqrt()],
+            level_sd_nmm: [noise.level[(0, 0)].sqrt(), noise.level[(1, 1)].sqrt()],
+            drift_nmm_s: noise.drift_nmm_s,
+            level_limit: limits.level,
+            abrupt_limit: limits.abrupt,
+        });
+        StreamedWhisker {
+            whisker: self.loaded.name.clone(),
+            unusable_scans: self.unusable,
+            events: self.events.clone(),
+            noise,
+            first_mode_hz: Some(first_mode_hz(&self.whisker)),
+            rows,
+        }
+    }
+}
+
+/// The moments of a whisker's wire as its calibration has it, and what that adds to the declared place of a groove, mm.
+fn field(
+    l: &WhiskerModel<'_>,
+    whisker: &WhiskerSpec,
+) -> Result<(Arc<MomentField>, Vector3<f64>), ContactError> {
+    let axes = MomentAxes::default();
+    let (wire, changed) = l.calibration()?.wire(whisker).map_err(ContactError::in_file(&l.place))?;
+    let changed = changed.iter().map(|w| moment_field(w, &axes)).collect();
+    Ok((Arc::new(moment_field(&wire, &axes).with_changed(changed)), wire.offset_mm))
+}
+
+/// What was lost, for people; none when nothing was.
+#[must_use]
+pub fn lost_text([lost, unusable, cut_off]: [u64; 3], dropped: u64) -> Option<String> {
+    let all = [
+        (lost, "scans lost"),
+        (dropped, "scans dropped here, the tracker being behind"),
+        (unusable, "readings not usable"),
+        (cut_off, "events cut off by a gap"),
+    ];
+    let messages: Vec<String> =
+        all.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
+    (!messages.is_empty()).then(|| format!("{}; flagged in status", messages.join(", ")))
+}

@@ -1,0 +1,457 @@
+//! `track.json`: what a track is made of and what was found, as a program reads it. Every key is in docs/schemas/track.json.
+
+use crate::known_motion::contact_stream::FinishedEpisode;
+use crate::known_motion::{Disagreement, Innovations, Located, Posterior, Region};
+use crate::mesh_score::MeshScore;
+use crate::sliding::SlidingContact;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use wcal_core::verify_document::GrooveTracking;
+use wcal_track::segments::Segment;
+
+/// Version of `track.csv` and `track.json`.
+pub const TRACK_FORMAT: &str = "wcal-track/2";
+/// What a place is along a known motion, and by the moments alone.
+pub const AXIS_OF_WIRE: &str = "axis of the wire at the contact, base frame";
+/// See [`AXIS_OF_WIRE`].
+pub const POINT_OF_OBJECT: &str = "point of the object, base frame";
+
+/// Where readings come from.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum TrackSource {
+    /// A table or a session folder.
+    File(PathBuf),
+    /// Recordings.
+    Recordings(Vec<PathBuf>),
+    /// An interrogator.
+    Device(String),
+}
+
+/// How the contacts were found where no model did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// Along a known motion.
+    KnownMotion,
+    /// By the moments alone.
+    MomentsAlone,
+}
+
+/// `track.json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TrackDocument {
+    /// [`TRACK_FORMAT`].
+    pub format: &'static str,
+    /// Where the readings come from.
+    pub source: TrackSource,
+    /// The readings or the calibration are not measured.
+    pub simulated: bool,
+    /// The table.
+    pub out: PathBuf,
+    /// Of a table or a session; none of a stream.
+    #[serde(flatten)]
+    pub table: Option<TableDocument>,
+    /// Of a stream.
+    #[serde(flatten)]
+    pub stream: Option<StreamDocument>,
+    /// What `--surface` wrote.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub surface: Option<SurfaceDocument>,
+}
+
+/// Of a table or a session.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TableDocument {
+    /// Lag of the rows, s.
+    pub lag_s: f64,
+    /// Time whose mean moments are the zero, s; none for a session, whose rest readings are.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tare_s: Option<f64>,
+    /// Class of what is touched, where stated.
+    pub object_class: Option<String>,
+    /// Readings that could not be used.
+    pub unusable_rows: u64,
+    /// Log of a motion.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub motion: Option<LogDocument>,
+    /// Distance of the contacts to the mesh of an imported sweep.
+    pub object: Option<MeshScore>,
+    /// Groove of a session against the answers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub groove_tracking: Option<Option<GrooveTracking>>,
+    /// Its whisker.
+    #[serde(flatten)]
+    pub whisker: WhiskerDocument,
+}
+
+/// Rows of one whisker.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct WhiskerDocument {
+    /// Rows.
+    pub rows: u64,
+    /// Rows with a status other than ok.
+    pub flagged_rows: u64,
+    /// Rows outside the calibration's region.
+    pub outside_valid_region: u64,
+    /// What speaks against trusting it.
+    pub doubts: Vec<String>,
+    /// Hash of the calibration's content.
+    pub calibration_sha256: String,
+    /// Contact intervals, where contacts were followed by their places.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub segments: Option<Vec<Segment>>,
+    /// Answers compared with a known groove.
+    pub known_groove: Option<GrooveScore>,
+    /// RMS error on the known groove at the last reading of each contact, mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub end_rmse_mm: Option<Option<f64>>,
+    /// What the estimator found.
+    #[serde(flatten)]
+    pub estimator: EstimatorDocument,
+}
+
+/// What an estimator found; what it does not know is absent.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct EstimatorDocument {
+    /// How.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub method: Option<Method>,
+    /// What a place is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub place: Option<&'static str>,
+    /// Hash of the weights.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub model_sha256: Option<String>,
+    /// Always true.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub trained_on_simulation: Option<bool>,
+    /// Motions that the model was never trained on.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub untrained_motion: Option<UntrainedRows>,
+    /// Rows with several contacts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub several_contacts: Option<SeveralContacts>,
+    /// Rows without a motion, by why.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lost_rows: Option<BTreeMap<&'static str, u64>>,
+    /// Rows at which moments and motion do not belong together.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub disagreeing_rows: Option<u64>,
+    /// Contacts in order of time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub contacts: Option<Vec<ContactDocument>>,
+    /// Trajectories of a session.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub trajectories: Option<Vec<ContactDocument>>,
+}
+
+/// A contact of a known motion, or a trajectory of a session.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ContactDocument {
+    /// Identifier of a session's trajectory.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub trajectory: Option<u32>,
+    /// Regions of the posterior along the wire; null where nothing was found, or where they change from reading to reading.
+    pub regions: Option<Vec<Region>>,
+    /// Sum of squares of the innovations.
+    pub chi2: f64,
+    /// The same with the outliers' own noise.
+    pub chi2_robust: f64,
+    /// Degrees of freedom.
+    pub dof: f64,
+    /// Outliers.
+    pub gross: usize,
+    /// Why moments and motion do not belong together.
+    pub disagreement: Option<&'static str>,
+    /// Readings.
+    pub readings: usize,
+    /// First reading, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from_s: Option<f64>,
+    /// Last reading, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub to_s: Option<f64>,
+    /// A fixed point of the object, or one that slides over it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub contact: Option<&'static str>,
+    /// How well the motion predicts a sliding contact.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sliding: Option<Option<SlidingDocument>>,
+}
+
+impl ContactDocument {
+    fn new(i: &Innovations, disagreement: Option<Disagreement>, readings: usize) -> Self {
+        Self {
+            trajectory: None,
+            regions: None,
+            chi2: i.plain,
+            chi2_robust: i.robust,
+            dof: i.dof,
+            gross: i.gross,
+            disagreement: disagreement.map(Disagreement::name),
+            readings,
+            from_s: None,
+            to_s: None,
+            contact: None,
+            sliding: None,
+        }
+    }
+
+    /// Of a session's trajectory.
+    #[must_use]
+    pub fn of_trajectory(id: u32, found: &Located, readings: usize) -> Self {
+        let regions = found.posterior.as_ref().map(Posterior::regions);
+        Self { trajectory: Some(id), regions, ..Self::new(&found.innovations, found.disagreement, readings) }
+    }
+
+    /// Of a table's contact; as one that slides, where the motion supports it.
+    #[must_use]
+    pub fn of_table(
+        found: &Located,
+        [from_s, to_s]: [f64; 2],
+        readings: usize,
+        sliding: Option<&SlidingContact>,
+    ) -> Self {
+        let slides = sliding.is_some_and(SlidingContact::supported);
+        let fixed = Self::new(&found.innovations, found.disagreement.filter(|_| !slides), readings);
+        let evidence = |s: &SlidingContact| SlidingDocument {
+            log_evidence: s.evidence,
+            reversed_log_evidence: s.reversed_evidence,
+            predicted: s.predicted,
+        };
+        Self {
+            regions: found.posterior.as_ref().map(Posterior::regions).filter(|_| !slides),
+            from_s: Some(from_s),
+            to_s: Some(to_s),
+            contact: Some(if slides { "sliding" } else { "fixed" }),
+            sliding: Some(sliding.map(evidence)),
+            ..fixed
+        }
+    }
+
+    /// Of a stream's contact.
+    #[must_use]
+    pub fn of_stream(e: &FinishedEpisode) -> Self {
+        Self {
+            regions: Some(e.regions.clone()),
+            from_s: Some(e.span_s[0]),
+            to_s: Some(e.span_s[1]),
+            ..Self::new(&e.innovations, e.disagreement, e.readings)
+        }
+    }
+}
+
+/// How well a motion predicts a sliding contact.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct SlidingDocument {
+    /// Log likelihood of the predicted readings.
+    pub log_evidence: f64,
+    /// The same of the reversed motion.
+    pub reversed_log_evidence: f64,
+    /// Readings that were predicted.
+    pub predicted: usize,
+}
+
+/// Rows in a motion that no training sweep has.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct UntrainedRows {
+    /// Rows.
+    pub rows: u64,
+    /// Rows by motion.
+    pub by_motion: BTreeMap<&'static str, u64>,
+    /// Rows in contact whose motion is not known and was assumed to be as in training.
+    pub assumed_rows: u64,
+}
+
+/// Rows with several contacts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct SeveralContacts {
+    /// Rows with a probability of several contacts.
+    pub rows: u64,
+    /// Rows at which it is above 0.5.
+    pub probable_rows: u64,
+}
+
+/// Answers compared with a known groove.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct GrooveScore {
+    /// Readings with a known groove.
+    pub readings: usize,
+    /// Of them compared.
+    pub compared: usize,
+    /// Readings at which no contact was seen.
+    pub without_contact: usize,
+    /// RMS distance, mm.
+    pub rmse_mm: f64,
+    /// Median, mm.
+    pub median_mm: f64,
+    /// 95 % quantile, mm.
+    pub p95_mm: f64,
+    /// Largest, mm.
+    pub largest_mm: f64,
+    /// Share in the stated 90 % regions.
+    pub coverage90: Option<f64>,
+}
+
+/// The log of a table's motion.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LogDocument {
+    /// File.
+    pub file: PathBuf,
+    /// First and last time, s.
+    pub span_s: [f64; 2],
+    /// What its clock is ahead, s.
+    pub offset_s: f64,
+    /// Readings without a motion, by why.
+    pub lost_rows: BTreeMap<&'static str, u64>,
+    /// Lines at which it jumps.
+    pub jump_lines: Vec<usize>,
+}
+
+/// Of a stream.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StreamDocument {
+    /// Recording that was written.
+    pub mcap: Option<PathBuf>,
+    /// Rows a second.
+    pub rate_hz: f64,
+    /// Beginning without contact, s.
+    pub prefix_s: f64,
+    /// False events an hour at most.
+    pub false_alarms_per_hour: f64,
+    /// Recordings that were cut off.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cut_off: Option<Vec<String>>,
+    /// Scans that the tracker dropped.
+    pub dropped_scans: u64,
+    /// Scans, gaps and scans lost.
+    pub scans: u64,
+    /// See `scans`.
+    pub gaps: u64,
+    /// See `scans`.
+    pub lost_scans: u64,
+    /// Scans a second.
+    pub scan_rate_hz: f64,
+    /// Lag of the filter, s.
+    pub lag_s: Option<f64>,
+    /// Time whose mean moments are the zero, s.
+    pub tare_s: f64,
+    /// Class of what is touched, where stated.
+    pub object_class: Option<String>,
+    /// The low-pass.
+    pub filter: Option<FilterDocument>,
+    /// First scan by the interrogator's clock, s.
+    pub origin_device_s: Option<f64>,
+    /// Time spent.
+    pub time: TimeDocument,
+    /// By whisker.
+    pub whiskers: Vec<StreamedWhisker>,
+    /// Where the motion comes from; none with a model.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stream_motion: Option<StreamMotionDocument>,
+}
+
+/// A low-pass.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct FilterDocument {
+    /// What it is.
+    pub kind: &'static str,
+    /// Gains at 1, 5, 10 and 34 Hz.
+    pub gain_1_hz: f64,
+    /// See `gain_1_hz`.
+    pub gain_5_hz: f64,
+    /// See `gain_1_hz`.
+    pub gain_10_hz: f64,
+    /// See `gain_1_hz`.
+    pub gain_34_hz: f64,
+    /// Gain of white noise.
+    pub noise_gain: f64,
+}
+
+/// Time that a stream took.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct TimeDocument {
+    /// Of the stream, s.
+    pub stream_s: f64,
+    /// Of the clock, s.
+    pub wall_s: Option<f64>,
+    /// Their ratio.
+    pub times_real_time: Option<f64>,
+    /// Before the network, us a scan.
+    pub chain_us_per_scan: f64,
+    /// In the network, s.
+    pub network_s: f64,
+}
+
+/// A whisker of a stream.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StreamedWhisker {
+    /// Name; empty where there is one.
+    pub whisker: String,
+    /// Scans without usable peaks.
+    pub unusable_scans: u64,
+    /// Events by kind.
+    pub events: BTreeMap<&'static str, u64>,
+    /// Noise of the prefix without contact, and limits.
+    pub noise: Option<NoiseDocument>,
+    /// First mode of a straight wire in air, Hz.
+    pub first_mode_hz: Option<f64>,
+    /// Its rows.
+    #[serde(flatten)]
+    pub rows: WhiskerDocument,
+}
+
+/// Noise of a stream's beginning, and the limits of its events.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct NoiseDocument {
+    /// Of means over 2 ms, N mm.
+    pub block_sd_nmm: [f64; 2],
+    /// Of the level, N mm.
+    pub level_sd_nmm: [f64; 2],
+    /// Drift, N mm/s.
+    pub drift_nmm_s: f64,
+    /// Limit of the level's statistic.
+    pub level_limit: f64,
+    /// Limit of the abrupt one.
+    pub abrupt_limit: f64,
+}
+
+/// Where the motion of a stream comes from.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StreamMotionDocument {
+    /// What says how base and object move.
+    pub source: &'static str,
+    /// First and last time of the log, s.
+    pub span_s: Option<[f64; 2]>,
+    /// Lines at which the log jumps.
+    pub jump_lines: Option<Vec<usize>>,
+}
+
+/// What `--surface` wrote.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct SurfaceDocument {
+    /// Frame of the cloud; none without points.
+    pub frame: Option<&'static str>,
+    /// Points of the cloud.
+    pub points: usize,
+    /// Contacts that the surface goes through.
+    pub surface_points: usize,
+    /// Its mesh, where there is one.
+    #[serde(flatten)]
+    pub mesh: Option<SurfaceMeshDocument>,
+}
+
+/// Mesh of a surface.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct SurfaceMeshDocument {
+    /// Corners.
+    pub corners: usize,
+    /// Triangles.
+    pub triangles: usize,
+    /// Cell of the grid, mm.
+    pub cell_mm: f64,
+    /// Distance from the nearest contact at which the surface is cut, mm.
+    pub reach_mm: f64,
+}

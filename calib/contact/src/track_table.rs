@@ -1,0 +1,237 @@
+//! `track.csv`, `track-events.csv`, and the same rows for a recording or a live view.
+
+use crate::ContactError;
+use crate::estimator::ContactEstimate;
+use crate::known_motion::Region;
+use crate::track_document::TrackDocument;
+use nalgebra::{Matrix3, Vector3};
+use std::fmt::Write as _;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use wcal_acquisition::tracks::{ContactEventMessage, ContactPoint};
+use wcal_core::stream::{Flags, StreamMoments};
+use wcal_track::stream::{BasePose, ContactEvent};
+
+const COLUMNS: &str = "point,t_s,moment_1_nmm,moment_2_nmm,outside_valid_region,calibration_doubtful,contact_probability,\
+     contact_x_mm,contact_y_mm,contact_z_mm,var_xx_mm2,var_yy_mm2,var_zz_mm2,cov_xy_mm2,cov_xz_mm2,cov_yz_mm2,\
+     whisker,status,doubts,moment_1_sd_nmm,moment_2_sd_nmm,base_speed_mm_s,world_x_mm,world_y_mm,world_z_mm,world_var_xx_mm2,\
+     world_var_yy_mm2,world_var_zz_mm2,world_cov_xy_mm2,world_cov_xz_mm2,world_cov_yz_mm2,touching,segment,arclength_regions95,\
+     several_probability";
+
+/// Columns of the events.
+pub const EVENT_COLUMNS: &str = "whisker,kind,t_s,sd_s,known_s,before_1_nmm,before_2_nmm,after_1_nmm,after_2_nmm,statistic,limit,\
+     ring_hz,ring_q,ring_amplitude_nmm,doubts";
+
+/// A row of a track.
+#[derive(Debug, Clone)]
+pub struct TrackRow {
+    /// Number of the reading or of the scan.
+    pub point: i64,
+    /// Time of validity, s.
+    pub t_s: f64,
+    /// Whisker.
+    pub whisker: String,
+    /// Flags.
+    pub flags: Flags,
+    /// Codes of doubts.
+    pub doubts: String,
+    /// Moments.
+    pub moments: Option<StreamMoments>,
+    /// The contact.
+    pub estimate: Option<ContactEstimate>,
+    /// Speed of the base along +z, mm/s.
+    pub base_mm_s: Option<f64>,
+    /// Pose of the base.
+    pub base: Option<BasePose>,
+    /// Whether the event detector sees contact.
+    pub touching: Option<bool>,
+    /// Contact interval that the row belongs to.
+    pub segment: Option<u64>,
+    /// 95 % region of highest density over the arc length.
+    pub regions: Vec<Region>,
+    /// Probability of several contacts where there is contact.
+    pub several: Option<f64>,
+}
+
+/// Appends numbers, or as many empty cells.
+fn cells(out: &mut String, values: Option<&[f64]>, count: usize, digits: usize) {
+    for k in 0..count {
+        out.push(',');
+        if let Some(values) = values {
+            let _ = write!(out, "{:.digits$}", values[k]);
+        }
+    }
+}
+
+fn spread(c: &Matrix3<f64>) -> [f64; 6] {
+    [c[(0, 0)], c[(1, 1)], c[(2, 2)], c[(0, 1)], c[(0, 2)], c[(1, 2)]]
+}
+
+impl TrackRow {
+    fn place(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        self.estimate.map(|e| (e.place_mm, e.covariance_mm2))
+    }
+
+    /// The row as a line of `track.csv`; cells without a value are empty.
+    #[must_use]
+    pub fn line(&self) -> String {
+        // Microseconds: an absolute clock leaves no more digits.
+        let mut out = format!("{},{}", self.point, (self.t_s * 1e6).round() / 1e6);
+        cells(&mut out, self.moments.as_ref().map(|m| &m.moment_nmm[..]), 2, 6);
+        let outside = self.moments.map_or_else(String::new, |m| u8::from(!m.valid).to_string());
+        let _ = write!(out, ",{outside},{}", u8::from(!self.doubts.is_empty()));
+        let place = self.place();
+        cells(&mut out, self.estimate.map(|e| [e.probability]).as_ref().map(|v| &v[..]), 1, 4);
+        cells(&mut out, place.as_ref().map(|p| p.0.as_slice()), 3, 4);
+        cells(&mut out, place.as_ref().map(|p| spread(&p.1)).as_ref().map(|v| &v[..]), 6, 4);
+        let _ = write!(out, ",{},{},{}", self.whisker, self.flags.text(), self.doubts);
+        cells(&mut out, self.moments.as_ref().map(|m| &m.sd_nmm[..]), 2, 6);
+        cells(&mut out, self.base_mm_s.map(|v| [v]).as_ref().map(|v| &v[..]), 1, 4);
+        let world = self.world();
+        cells(&mut out, world.as_ref().map(|p| p.0.as_slice()), 3, 4);
+        cells(&mut out, world.as_ref().map(|p| spread(&p.1)).as_ref().map(|v| &v[..]), 6, 4);
+        let touching = self.touching.map_or_else(String::new, |t| u8::from(t).to_string());
+        let segment = self.segment.map_or_else(String::new, |n| n.to_string());
+        let piece = |r: &Region| format!("{:.2}-{:.2}@{:.3}", r.from_mm, r.to_mm, r.probability);
+        let regions = self.regions.iter().map(piece).collect::<Vec<_>>().join("|");
+        let _ = write!(out, ",{touching},{segment},{regions}");
+        cells(&mut out, self.several.map(|p| [p]).as_ref().map(|v| &v[..]), 1, 4);
+        out.push('\n');
+        out
+    }
+
+    fn world(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        let ((point, covariance), base) = self.place().zip(self.base)?;
+        Some(base.to_world(&point, &covariance))
+    }
+
+    /// The row as a message.
+    #[must_use]
+    pub fn message(&self) -> ContactPoint {
+        let (place, world) = (self.place(), self.world());
+        let list =
+            |p: &Option<(Vector3<f64>, Matrix3<f64>)>| p.map_or_else(Vec::new, |p| p.0.as_slice().to_vec());
+        let spreads =
+            |p: &Option<(Vector3<f64>, Matrix3<f64>)>| p.map_or_else(Vec::new, |p| spread(&p.1).to_vec());
+        ContactPoint {
+            whisker: self.whisker.clone(),
+            t_s: self.t_s,
+            status: self.flags.text(),
+            moment_nmm: self.moments.map_or_else(Vec::new, |m| m.moment_nmm.to_vec()),
+            moment_sd_nmm: self.moments.map_or_else(Vec::new, |m| m.sd_nmm.to_vec()),
+            outside_valid_region: self.moments.is_some_and(|m| !m.valid),
+            doubts: self.doubts.clone(),
+            contact_probability: self.estimate.map_or_else(Vec::new, |e| vec![e.probability]),
+            contact_mm: list(&place),
+            covariance_mm2: spreads(&place),
+            world_mm: list(&world),
+            world_covariance_mm2: spreads(&world),
+            base_mm_s: self.base_mm_s.into_iter().collect(),
+        }
+    }
+}
+
+/// An event as a message.
+#[must_use]
+pub fn event_message(whisker: &str, e: &ContactEvent) -> ContactEventMessage {
+    ContactEventMessage {
+        whisker: whisker.to_owned(),
+        kind: e.kind.name().to_owned(),
+        t_s: e.t_s,
+        sd_s: e.sd_s,
+        before_nmm: e.moments_nmm[0].to_vec(),
+        after_nmm: e.moments_nmm[1].to_vec(),
+        statistic: e.statistic,
+        limit: e.limit,
+        ring: e.ring.map_or_else(Vec::new, |r| r.to_vec()),
+    }
+}
+
+/// The files of a track, written as rows come.
+#[derive(Debug)]
+pub struct TrackFiles {
+    rows: BufWriter<File>,
+    events: Option<BufWriter<File>>,
+    out: PathBuf,
+}
+
+impl TrackFiles {
+    /// Opens them; a stream has events.
+    ///
+    /// # Errors
+    /// Where one cannot be made.
+    pub fn create(out: &Path, events: bool) -> Result<Self, ContactError> {
+        let open = |path: &Path, columns: &str| -> Result<BufWriter<File>, ContactError> {
+            let file = File::create(path).map_err(ContactError::file("creating", path))?;
+            let mut file = BufWriter::new(file);
+            writeln!(file, "{columns}").map_err(ContactError::file("writing", path))?;
+            Ok(file)
+        };
+        let rows = open(out, COLUMNS)?;
+        let events = events.then(|| open(&companion(out, "-events.csv"), EVENT_COLUMNS)).transpose()?;
+        Ok(Self { rows, events, out: out.to_owned() })
+    }
+
+    /// Writes a row.
+    ///
+    /// # Errors
+    /// When the disk does not take it.
+    pub fn row(&mut self, row: &TrackRow) -> Result<(), ContactError> {
+        let written = self.rows.write_all(row.line().as_bytes());
+        written.map_err(ContactError::file("writing", &self.out))
+    }
+
+    /// Writes an event, at once on disk.
+    ///
+    /// # Errors
+    /// When the disk does not take it.
+    pub fn event(&mut self, whisker: &str, doubts: &str, e: &ContactEvent) -> Result<(), ContactError> {
+        let Some(file) = &mut self.events else { return Ok(()) };
+        let [before, after] = e.moments_nmm;
+        let ring = e.ring.map_or_else(|| ",,".to_owned(), |[hz, q, a]| format!("{hz:.2},{q:.1},{a:.4}"));
+        let line = format!(
+            "{whisker},{},{:.5},{:.5},{:.5},{:.5},{:.5},{:.5},{:.5},{:.1},{:.1},{ring},{doubts}\n",
+            e.kind.name(),
+            e.t_s,
+            e.sd_s,
+            e.known_s,
+            before[0],
+            before[1],
+            after[0],
+            after[1],
+            e.statistic,
+            e.limit
+        );
+        let written = file.write_all(line.as_bytes()).and_then(|()| file.flush());
+        written.map_err(ContactError::file("writing", &companion(&self.out, "-events.csv")))
+    }
+
+    /// Brings everything so far into the files.
+    ///
+    /// # Errors
+    /// When the disk does not take it.
+    pub fn flush(&mut self) -> Result<(), ContactError> {
+        self.rows.flush().map_err(ContactError::file("writing", &self.out))
+    }
+
+    /// Writes the summary beside the table, and gives its text.
+    ///
+    /// # Errors
+    /// When the disk does not take it.
+    pub fn finish(mut self, document: &TrackDocument) -> Result<String, ContactError> {
+        self.flush()?;
+        let path = companion(&self.out, ".json");
+        let text = serde_json::to_string_pretty(document).map_err(ContactError::file("writing", &path))?;
+        wcal_core::files::write_atomic(&path, text.as_bytes())
+            .map_err(ContactError::file("writing", &path))?;
+        Ok(text)
+    }
+}
+
+/// `track.csv` -> `track` + ending.
+#[must_use]
+pub fn companion(out: &Path, ending: &str) -> PathBuf {
+    let stem = out.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    out.with_file_name(format!("{stem}{ending}"))
+}

@@ -1,0 +1,248 @@
+//! What speaks against tracking with a calibration and a model.
+
+use crate::ContactError;
+use crate::network::NetworkEstimator;
+use std::path::{Path, PathBuf};
+use wcal_calibration::{
+    CalibrationModel, TrustIssue, WhiskerCalibration, of_whisker, read_unsealed, standing,
+};
+use wcal_core::observation::MomentAxes;
+use wcal_core::ranges::OutOfRange;
+use wcal_core::{CalibrationFile, CalibrationFrame, VerificationStatus, WhiskerSpec, WireFrame};
+use wcal_track::Tracker;
+use wcal_track::filter::FilterBank;
+use wcal_track::model_file::Card;
+use wcal_track::tracker::trained_steps_s;
+
+/// What speaks against a calibration and a model, each with a short code for the rows and a sentence for people.
+#[derive(Debug, Clone, Default)]
+pub struct TrustIssues(Vec<TrustIssue>);
+
+impl TrustIssues {
+    /// Whether there are none.
+    pub fn none(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Codes with `|` between them.
+    pub fn codes(&self) -> String {
+        self.0.iter().map(TrustIssue::code).collect::<Vec<_>>().join("|")
+    }
+
+    /// Sentences.
+    pub fn messages(&self) -> Vec<String> {
+        self.0.iter().map(ToString::to_string).collect()
+    }
+}
+
+/// A whisker's calibration and model.
+pub struct WhiskerModel<'a> {
+    /// Name in the rig.
+    pub name: String,
+    /// Where the calibration lies.
+    pub place: PathBuf,
+    /// Calibration.
+    pub file: CalibrationFile<CalibrationModel>,
+    /// Network; none where the motion is known.
+    pub network: Option<Network<'a>>,
+    /// What speaks against them.
+    pub doubts: TrustIssues,
+}
+
+/// A network with its card.
+pub struct Network<'a> {
+    /// Model.
+    pub tracker: &'a Tracker,
+    /// Its card.
+    pub card: Card,
+}
+
+/// Share of the noise from pose to pose that is white from one averaged reading to the next; the rest is slow. An assumption.
+const WHITE: f64 = 0.2;
+/// Share by which the zero may be off in a recording. An assumption too.
+const ZERO: f64 = 0.5;
+
+/// Filters that know the noise of the moments that come through a calibration.
+pub fn filters_for(filters: FilterBank, model: &CalibrationModel) -> FilterBank {
+    let noise_nmm = model.whisker().map_or(0.0, WhiskerCalibration::noise_sd_nmm);
+    filters.with_measurement_noise(WHITE * noise_nmm, ZERO * noise_nmm)
+}
+
+impl WhiskerModel<'_> {
+    /// Its calibration from wavelengths to moments.
+    ///
+    /// # Errors
+    /// Where it is of another kind of session.
+    pub fn calibration(&self) -> Result<&dyn WhiskerCalibration, ContactError> {
+        Ok(of_whisker(&self.place, &self.file)?)
+    }
+
+    /// The frame of the wire.
+    ///
+    /// # Errors
+    /// Where the moments are not across the wire's root.
+    pub fn frame(&self) -> Result<WireFrame, ContactError> {
+        let own = self.file.whisker.as_ref().or(self.network.as_ref().map(|n| &n.card.whisker));
+        frame_of(&self.file, own.ok_or_else(|| self.nameless())?, &self.place)
+    }
+
+    /// The whisker in that frame: the model's, else the calibration's.
+    ///
+    /// # Errors
+    /// Where neither says.
+    pub fn whisker(&self) -> Result<WhiskerSpec, ContactError> {
+        match (&self.network, &self.file.whisker) {
+            (Some(network), _) => Ok(network.card.whisker.clone()),
+            (None, Some(whisker)) => Ok(self.frame()?.whisker(whisker)),
+            (None, None) => Err(self.nameless()),
+        }
+    }
+
+    fn nameless(&self) -> ContactError {
+        let place = self.place.display().to_string();
+        ContactError::value(place, "a calibration that says of which whisker it is", "an older one")
+    }
+
+    /// Its network, with filters that know the calibration's noise; none without one.
+    #[must_use]
+    pub fn estimator(&self, vouched: bool) -> Option<NetworkEstimator<'_>> {
+        let Network { tracker, card } = self.network.as_ref()?;
+        let filters = filters_for(tracker.filters, &self.file.model);
+        Some(NetworkEstimator::new((tracker, card), filters, vouched))
+    }
+}
+
+/// The frame of a wire by what its calibration says of the session; older ones have moments about y and z.
+fn frame_of(
+    file: &CalibrationFile<CalibrationModel>,
+    whisker: &WhiskerSpec,
+    place: &Path,
+) -> Result<WireFrame, ContactError> {
+    let axes = file.frame.as_ref().map_or_else(MomentAxes::default, CalibrationFrame::moments);
+    WireFrame::new(whisker, &axes).map_err(|e: OutOfRange| {
+        let what = format!("{}: frame.{}", place.display(), e.key);
+        ContactError::value(what, e.expected, e.found)
+    })
+}
+
+/// Why `verify` wrote no calibration at this place; none where there is one, or no `verify.json` beside it.
+fn never_written(place: &Path) -> Option<String> {
+    if place.exists() {
+        return None;
+    }
+    let beside = place.with_file_name("verify.json");
+    let document: serde_json::Value = serde_json::from_slice(&wcal_core::files::read(&beside).ok()?).ok()?;
+    let text = |key: &str| document[key].as_str().unwrap_or_default().to_owned();
+    let ids = document["effects"].as_array().into_iter().flatten().filter_map(|e| e["id"].as_str());
+    let ids = ids.collect::<Vec<_>>().join(", ");
+    let verdict = text("verdict");
+    let accepted = match (verdict.as_str(), ids.as_str()) {
+        ("ambiguous", _) => {
+            "several explanations are left and none was accepted (--accept chooses one)".to_owned()
+        }
+        ("unknown-effect", "") => {
+            "it accepted no effect: nothing in its catalogue explains what is left".to_owned()
+        }
+        ("unknown-effect", some) => {
+            format!("it accepted {some}, and nothing in its catalogue explains what is left")
+        }
+        _ => "it accepted none".to_owned(),
+    };
+    let (place, beside) = (place.display(), beside.display());
+    Some(format!(
+        "{place}: not there: the verdict of verify is \"{verdict}\" ({beside}); {accepted}. So it wrote no calibration. {}",
+        text("reason")
+    ))
+}
+
+/// A whisker's calibration, and what speaks against it by itself.
+///
+/// # Errors
+/// Where the file cannot be read, or was changed so that its content means nothing any more.
+fn calibration_issues(
+    place: &Path,
+) -> Result<(CalibrationFile<CalibrationModel>, Vec<TrustIssue>), ContactError> {
+    if let Some(why) = never_written(place) {
+        return Err(ContactError::NoCalibration(why));
+    }
+    let (file, changed) = read_unsealed(place)?;
+    of_whisker(place, &file)?;
+    let mut issues: Vec<TrustIssue> = changed.into_iter().collect();
+    issues.extend(standing(&file, jiff::Timestamp::now())?);
+    if file.verification == VerificationStatus::Unverified {
+        issues.push(TrustIssue::NeverVerified);
+    }
+    Ok((file, issues))
+}
+
+/// A whisker's calibration judged beside a model's card, before the model itself is loaded.
+pub struct CheckedCalibration {
+    name: String,
+    place: PathBuf,
+    file: CalibrationFile<CalibrationModel>,
+    card: Option<Card>,
+    /// What speaks against them.
+    pub doubts: TrustIssues,
+}
+
+impl CheckedCalibration {
+    /// Name in the rig.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The calibration.
+    pub fn file(&self) -> &CalibrationFile<CalibrationModel> {
+        &self.file
+    }
+
+    /// Where it lies.
+    pub fn place(&self) -> &Path {
+        &self.place
+    }
+
+    /// Whether it says of which whisker it is; where not, a model is taken to fit.
+    #[must_use]
+    pub fn names_whisker(&self) -> bool {
+        self.file.whisker.is_some()
+    }
+
+    /// With its model, where it was read with the model's card.
+    #[must_use]
+    pub fn with(self, tracker: Option<&Tracker>) -> WhiskerModel<'_> {
+        let Self { name, place, file, card, doubts } = self;
+        let network = tracker.zip(card).map(|(tracker, card)| Network { tracker, card });
+        WhiskerModel { name, place, file, network, doubts }
+    }
+
+    /// Reads a calibration and judges it by itself and beside the model, where contacts come from one.
+    ///
+    /// # Errors
+    /// Where the calibration cannot be read, or was changed so that its content means nothing any more.
+    pub fn read(name: &str, place: &Path, card: Option<Card>) -> Result<Self, ContactError> {
+        let (file, mut issues) = calibration_issues(place)?;
+        // In the frame of the wire: a network knows one orientation.
+        let own = file.whisker.as_ref().map(|w| Ok::<_, ContactError>(frame_of(&file, w, place)?.whisker(w)));
+        let own = own.transpose()?;
+        let differs = own.as_ref().zip(card.as_ref()).and_then(|(w, c)| w.difference(&c.whisker));
+        issues.extend(differs.map(TrustIssue::OtherWhisker));
+        let doubts = TrustIssues(issues);
+        Ok(Self { name: name.to_owned(), place: place.to_owned(), file, card, doubts })
+    }
+
+    /// Judges the whisker of a session beside that of the calibration.
+    pub fn check_session(&mut self, whisker: &WhiskerSpec) {
+        let differs = self.file.whisker.as_ref().and_then(|w| w.difference(whisker));
+        self.doubts.0.extend(differs.map(TrustIssue::OtherSession));
+    }
+
+    /// Judges the time between readings (s) by those that the network was trained with.
+    pub fn check_step(&mut self, step_s: Option<f64>) {
+        let Some(card) = &self.card else { return };
+        let trained_s = trained_steps_s(card.training.time_factor);
+        let [low, high] = trained_s;
+        if let Some(found_s) = step_s.filter(|s| !(low..=high).contains(s)) {
+            self.doubts.0.push(TrustIssue::SampleRate { trained_s, found_s });
+        }
+    }
+}

@@ -1,0 +1,244 @@
+//! The track of one whisker: readings in, rows out, whatever the source and the estimator.
+//!
+//! ```text
+//! reading -> zero (Tare) -> frame of the wire -> estimator -> contact -> base frame -> known groove, contact intervals and cloud -> row
+//! ```
+
+use crate::ContactError;
+use crate::contact_history::ContactHistory;
+use crate::estimator::{Contact, Estimator, Message};
+use crate::frame::{in_base_frame, in_wire_frame};
+use crate::known_groove::KnownGroove;
+use crate::reading::{Moments, Reading};
+use crate::track_document::WhiskerDocument;
+use crate::track_table::TrackRow;
+use std::collections::VecDeque;
+use wcal_core::WireFrame;
+use wcal_core::stream::StreamMoments;
+use wcal_track::Tare;
+
+/// What stands beside the rows of a whisker.
+#[derive(Debug, Clone, Default)]
+pub struct WhiskerFacts {
+    /// Name among several, or empty.
+    pub name: String,
+    /// Codes of what speaks against calibration or model, and sentences.
+    pub doubt_codes: String,
+    /// See `doubt_codes`.
+    pub doubts: Vec<String>,
+    /// Hash of the calibration's content.
+    pub calibration_sha256: String,
+}
+
+/// A reading that waits for its contact.
+struct Pending {
+    reading: Reading,
+    moments: Option<StreamMoments>,
+}
+
+/// The track of one whisker.
+pub struct WhiskerTrack<'a> {
+    facts: WhiskerFacts,
+    frame: WireFrame,
+    estimator: Box<dyn Estimator + 'a>,
+    tare: Tare,
+    pending: VecDeque<Pending>,
+    /// Contact intervals and cloud; no intervals where each reading stands by itself.
+    history: ContactHistory,
+    followed: bool,
+    /// The groove that the answers are compared with, where it is known.
+    groove: Option<KnownGroove>,
+    rows: u64,
+    flagged: u64,
+    outside: u64,
+}
+
+impl<'a> WhiskerTrack<'a> {
+    /// Of an estimator in the frame of its wire; `tare_s`: time at the beginning whose mean moments are the zero; `followed`: contacts have intervals.
+    #[must_use]
+    pub fn new(
+        facts: WhiskerFacts,
+        (frame, estimator): (WireFrame, Box<dyn Estimator + 'a>),
+        tare_s: f64,
+        followed: bool,
+    ) -> Self {
+        let history = ContactHistory::new(&facts.name);
+        Self {
+            facts,
+            frame,
+            estimator,
+            tare: Tare::new(tare_s),
+            pending: VecDeque::new(),
+            history,
+            followed,
+            groove: None,
+            rows: 0,
+            flagged: 0,
+            outside: 0,
+        }
+    }
+
+    /// Compares answers with a groove whose place is known.
+    pub fn know_groove(&mut self, groove: Option<KnownGroove>) {
+        self.groove = groove;
+    }
+
+    /// Takes the next reading in order of time; the rows that are settled now.
+    ///
+    /// # Errors
+    /// For a reading that cannot be used.
+    pub fn push(&mut self, reading: Reading) -> Result<Vec<TrackRow>, ContactError> {
+        let t_s = reading.t_s;
+        let zeroed = |m: Moments| Moments { moment_nmm: self.tare.zeroed(t_s, m.moment_nmm), ..m };
+        let reading = Reading { moments: reading.moments.clone().map(zeroed), ..reading };
+        let contacts = self.estimator.push(&in_wire_frame(&self.frame, &reading))?;
+        let moments = reading.moments.as_ref().map(Moments::stated);
+        self.pending.push_back(Pending { reading, moments });
+        Ok(self.settle(contacts))
+    }
+
+    /// No reading follows: the rows that are left.
+    ///
+    /// # Errors
+    /// As for `push`.
+    pub fn finish(&mut self) -> Result<Vec<TrackRow>, ContactError> {
+        let contacts = self.estimator.finish()?;
+        Ok(self.settle(contacts))
+    }
+
+    fn settle(&mut self, contacts: Vec<Contact>) -> Vec<TrackRow> {
+        let mut rows = Vec::with_capacity(contacts.len());
+        for contact in contacts {
+            let Some(Pending { reading, moments }) = self.pending.pop_front() else { break };
+            rows.push(self.row(reading, moments, contact));
+        }
+        rows
+    }
+
+    fn row(&mut self, reading: Reading, moments: Option<StreamMoments>, contact: Contact) -> TrackRow {
+        let Reading { point, t_s, base, base_mm_s, touching, .. } = reading;
+        let Contact { estimate, regions, several, number, on_object, .. } = contact;
+        let estimate = estimate.map(|e| in_base_frame(&self.frame, e));
+        if let (Some(groove), Some(estimate)) = (&mut self.groove, &estimate) {
+            groove.push(t_s, estimate);
+        }
+        if reading.gap {
+            self.history.gap();
+        }
+        let segment = self.history.row(t_s, estimate.as_ref(), on_object, base, base_mm_s);
+        let flags = reading.flags.with(contact.flags);
+        self.rows += 1;
+        self.flagged += u64::from(!flags.none());
+        self.outside += u64::from(moments.is_some_and(|m| !m.valid));
+        TrackRow {
+            point,
+            t_s,
+            whisker: self.facts.name.clone(),
+            flags,
+            doubts: self.facts.doubt_codes.clone(),
+            moments,
+            estimate,
+            base_mm_s,
+            base,
+            touching,
+            segment: number.or(segment.filter(|_| self.followed)),
+            regions,
+            several,
+        }
+    }
+
+    /// Contact intervals and cloud.
+    #[must_use]
+    pub fn history(&self) -> &ContactHistory {
+        &self.history
+    }
+
+    /// Name among several, or empty.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.facts.name
+    }
+
+    /// What was found: for track.json, for people, and for the exit code.
+    #[must_use]
+    pub fn findings(&self) -> TrackFindings {
+        let found = self.estimator.findings();
+        let groove = self.groove.as_ref();
+        let end_rmse_mm = found.spans_s.map(|spans_s| groove?.end_rmse_mm(&spans_s));
+        let mut messages = found.messages;
+        if let Some(mm) = end_rmse_mm.flatten() {
+            messages.push(Message::note(format!(
+                "known groove, last reading of each contact: off by {mm:.2} mm RMS"
+            )));
+        }
+        messages.extend(groove.and_then(KnownGroove::message).map(Message::note));
+        let document = WhiskerDocument {
+            rows: self.rows,
+            flagged_rows: self.flagged,
+            outside_valid_region: self.outside,
+            doubts: self.facts.doubts.clone(),
+            calibration_sha256: self.facts.calibration_sha256.clone(),
+            segments: self.followed.then(|| self.history.segments().to_vec()),
+            known_groove: groove.and_then(KnownGroove::score),
+            end_rmse_mm,
+            estimator: found.document,
+        };
+        TrackFindings {
+            document,
+            messages,
+            outcome: Outcome {
+                outside: self.outside > 0,
+                misstated: found.misstated || groove.is_some_and(KnownGroove::misstated),
+                lost: found.lost,
+                doubt: found.doubt,
+            },
+        }
+    }
+}
+
+/// What a track found.
+#[derive(Debug, Clone)]
+pub struct TrackFindings {
+    /// For track.json.
+    pub document: WhiskerDocument,
+    /// For people.
+    pub messages: Vec<Message>,
+    /// For the exit code.
+    pub outcome: Outcome,
+}
+
+/// What speaks against the rows that were written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Outcome {
+    /// Rows lie outside the calibration's valid region.
+    pub outside: bool,
+    /// Stated regions do not hold a known groove.
+    pub misstated: bool,
+    /// Readings were lost, dropped or unusable.
+    pub lost: bool,
+    /// Contact in a motion of which the estimator knows nothing, or that does not belong to the moments.
+    pub doubt: bool,
+}
+
+impl Outcome {
+    /// Both.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        Self {
+            outside: self.outside || other.outside,
+            misstated: self.misstated || other.misstated,
+            lost: self.lost || other.lost,
+            doubt: self.doubt || other.doubt,
+        }
+    }
+
+    /// Exit code of the program: 4 before 3 before 0; `forced`: the user takes what is not good enough.
+    #[must_use]
+    pub fn exit_code(self, forced: bool) -> u8 {
+        match ((self.outside || self.misstated) && !forced, self.lost || self.doubt) {
+            (true, _) => 4,
+            (false, true) => 3,
+            (false, false) => 0,
+        }
+    }
+}

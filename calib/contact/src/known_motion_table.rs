@@ -44,8 +44,8 @@ pub struct KnownMotionTable {
     field: MomentField,
     whisker: WhiskerSpec,
     accuracy: MotionAccuracy,
-    /// Whether the table is of a sweep over an object: there a contact slides by its nature; elsewhere a wrong motion or calibration is as
-    /// likely.
+    /// Whether the table is of a sweep over an object: there a contact slides by its nature and is no doubt; elsewhere a wrong motion or
+    /// calibration is as likely.
     over_object: bool,
     /// Readings whose motion is known, the piece of the motion that each is in, and its number among all.
     rows: Vec<MotionRow>,
@@ -55,7 +55,6 @@ pub struct KnownMotionTable {
     lost: BTreeMap<&'static str, u64>,
     /// Which readings have no motion.
     without: Vec<usize>,
-    noise_nmm2: f64,
     contacts: Vec<TableContact>,
 }
 
@@ -79,7 +78,6 @@ impl KnownMotionTable {
             readings: 0,
             lost: BTreeMap::new(),
             without: Vec::new(),
-            noise_nmm2: 0.0,
             contacts: Vec::new(),
         }
     }
@@ -99,8 +97,7 @@ impl KnownMotionTable {
         };
         let found = ranges.par_iter().map(one).collect::<Result<Vec<Located>, ContactError>>()?;
         let with_range: Vec<([usize; 2], &Located)> = ranges.iter().copied().zip(&found).collect();
-        let noise_nmm = (self.noise_nmm2 / self.readings.max(1) as f64).sqrt();
-        let sliding = sliding_contacts(&self.whisker, noise_nmm, &self.rows, &with_range)?;
+        let sliding = sliding_contacts(&self.whisker, &self.rows, &with_range)?;
         let contact = |((range, found), sliding): (([usize; 2], Located), Option<SlidingContact>)| {
             let span_s = [self.rows[range[0]].t_s, self.rows[range[1] - 1].t_s];
             TableContact { range, span_s, found, sliding }
@@ -115,7 +112,7 @@ impl KnownMotionTable {
         let [from, to] = contact.range;
         let at = |k: usize| {
             let (place, regions, flags): (_, &[Region], _) = match contact.slides() {
-                Some(s) if self.over_object => (&s.places[k], &s.regions[k], Flags::SLIDING_ASSUMED),
+                Some(s) if self.over_object => (&s.places[k], &s.regions[k], Flags::default()),
                 Some(s) => {
                     (&s.places[k], &s.regions[k], Flags::SLIDING_ASSUMED.with(Flags::MOTION_DISAGREES))
                 }
@@ -144,7 +141,8 @@ impl KnownMotionTable {
             ));
         }
         let numbered = || self.contacts.iter().enumerate();
-        all.extend(numbered().filter_map(|(n, c)| Some((n, c.slides()?))).map(|(n, s)| {
+        let assumed = numbered().filter(|_| !self.over_object);
+        all.extend(assumed.filter_map(|(n, c)| Some((n, c.slides()?))).map(|(n, s)| {
             format!(
                 "contact {n}: no fixed point of the object explains the moments, a contact that slides does (log likelihood ratio {:.0} to the \
                  reversed motion), as it does where motion or calibration are wrong; marked sliding-assumed in status",
@@ -175,7 +173,6 @@ impl Estimator for KnownMotionTable {
             *self.lost.entry(why.name()).or_default() += 1;
             self.without.push(number);
         }
-        self.noise_nmm2 += reading.moments.as_ref().map_or(0.0, |m| 0.5 * m.pose_nmm2.trace());
         let (Some(m), Ok(motion)) = (&reading.moments, &reading.motion) else { return Ok(Vec::new()) };
         // A zero of its own, by the noise: two more unknowns that all rows share.
         let zero = m.pose_nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l() * ZERO);
@@ -224,7 +221,9 @@ impl Estimator for KnownMotionTable {
             lost_rows: Some(self.lost.clone()),
             ..EstimatorDocument::default()
         };
-        let doubt = self.contacts.iter().any(|c| c.slides().is_some() || c.found.disagreement.is_some());
+        // A sweep over an object slides by its nature.
+        let explained = |c: &TableContact| self.over_object && c.slides().is_some();
+        let doubt = self.contacts.iter().any(|c| c.found.disagreement.is_some() && !explained(c));
         let lost = !self.lost.is_empty();
         Findings { document, messages: self.messages(), lost, doubt, ..Findings::default() }
     }

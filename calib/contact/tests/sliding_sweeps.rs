@@ -15,8 +15,10 @@ const SEEDS: std::ops::Range<u64> = 100..112;
 const ZERO_READINGS: usize = 5;
 const DRIFT_NMM: f64 = 0.003;
 const MAP_SHARE: f64 = 0.003;
-/// Least way between first touch and release that is held against regions.
-const NOISE_FREE: f64 = 1e-9;
+/// Rounding of a region's end at the tip, mm.
+const ROUNDING_MM: f64 = 1e-9;
+/// By how much the truth of the control is shifted along the wire, mm.
+const SHIFT_MM: f64 = 4.0;
 
 /// The rows of a sweep under its true map; moments and motion times a factor.
 fn rows(case: &SweepCase, gain: f64, way: f64) -> Vec<MotionRow> {
@@ -69,15 +71,16 @@ fn wire(case: &SweepCase) -> TouchedWire {
     TouchedWire::new(&whisker, &MomentAxes::default()).unwrap()
 }
 
-/// Errors in space (mm), whether the region along the wire holds the truth, and whether the ellipsoid in space does; one a reading in contact.
-fn judged(case: &SweepCase, found: &SlidingContact) -> Vec<(f64, bool, bool)> {
+/// Errors in space (mm), whether the region along the wire holds the truth shifted by `shift_mm`, and whether the ellipsoid in space holds the
+/// truth; one a reading in contact.
+fn judged(case: &SweepCase, found: &SlidingContact, shift_mm: f64) -> Vec<(f64, bool, bool)> {
     let all = case.readings.iter().zip(found.places.iter().zip(&found.regions));
     all.filter_map(|(reading, (place, regions))| {
         let (truth, at) = (reading.touch?, place.place_mm?);
         let off = at - truth.axis_mm;
         let inside = off.dot(&(place.covariance_mm2.try_inverse()? * off)) < 7.815;
-        let s = truth.arclength_mm;
-        let held = regions.iter().any(|r| (r.from_mm - NOISE_FREE..=r.to_mm + NOISE_FREE).contains(&s));
+        let s = truth.arclength_mm - shift_mm;
+        let held = regions.iter().any(|r| (r.from_mm - ROUNDING_MM..=r.to_mm + ROUNDING_MM).contains(&s));
         Some((off.norm(), held, inside))
     })
     .collect()
@@ -88,17 +91,17 @@ fn sweeps_of_foreign_wires_are_followed_and_their_regions_hold() {
     let one = |seed: u64| {
         let case = SweepCase::draw(seed).unwrap();
         let found = locate_sliding(&wire(&case), &rows(&case, 1.0, 1.0));
-        (seed, judged(&case, &found), found, case)
+        (seed, judged(&case, &found, 0.0), judged(&case, &found, SHIFT_MM), found)
     };
     let found: Vec<_> = SEEDS.into_par_iter().map(one).collect();
     println!("SIMULATED; error of the wire's axis in space, mm");
-    let mut all = Vec::new();
+    let (mut all, mut beside) = (Vec::new(), Vec::new());
     let mut supported = 0;
-    for (seed, rows, contact, case) in &found {
+    for (seed, rows, shifted, contact) in &found {
         supported += usize::from(contact.supported());
         println!("{seed}: {} J / n {:.2}", said(rows), -2.0 * contact.evidence / contact.predicted.max(1) as f64);
-        let _ = case;
         all.extend(rows.iter().copied());
+        beside.extend(shifted.iter().copied());
     }
     println!("all: {}; {supported} of {} supported", said(&all), found.len());
     let [median, rms, held, inside] = summary(&all);
@@ -106,9 +109,9 @@ fn sweeps_of_foreign_wires_are_followed_and_their_regions_hold() {
     // Readings of a sweep share their errors: a dozen sweeps determine the coverage to some per cent.
     assert!((0.85..=1.0).contains(&held) && inside > 0.8, "{held} {inside}");
     assert!(supported * 10 >= found.len() * 9, "{supported}");
-    // Control: places beside the truth are not held.
-    let shifted = all.iter().filter(|(off, ..)| *off > 0.0).count();
-    assert!(shifted == all.len());
+    // Control: places beside the truth are mostly not held.
+    let [.., beside_held, _] = summary(&beside);
+    assert!(beside_held < 0.4, "{beside_held}");
 }
 
 #[test]

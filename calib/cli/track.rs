@@ -108,9 +108,10 @@ pub struct TrackArgs {
     /// are then not motion-assumed, and have the network's regions
     #[arg(long, requires = "model")]
     pub sweep: bool,
-    /// Time at the beginning, without contact, whose mean moments are the zero, s
-    #[arg(long, value_name = "S", default_value_t = 0.0)]
-    pub tare_s: f64,
+    /// Time at the beginning, without contact, whose mean moments are the zero, s; 0: the calibration's zero. Without it a table takes the free
+    /// readings at its beginning where they can be told, anything else the calibration's
+    #[arg(long, value_name = "S")]
+    pub tare_s: Option<f64>,
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
@@ -282,7 +283,7 @@ fn check_accuracy(args: &TrackArgs) -> Result<()> {
     for (option, value) in [
         ("--motion-sd-mm", args.motion_sd_mm),
         ("--motion-clock-sd-s", args.motion_clock_sd_s),
-        ("--tare-s", args.tare_s),
+        ("--tare-s", args.tare_s.unwrap_or(0.0)),
     ] {
         if !(value.is_finite() && value >= 0.0) {
             bail!("{option}: expected 0 or more, found {value}");

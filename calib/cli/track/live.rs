@@ -419,7 +419,7 @@ fn settings(args: &TrackArgs) -> StreamSettings {
         lag_s: args.lag_s,
         prefix_s: args.prefix_s,
         false_alarms_per_hour: args.false_alarms_per_hour,
-        tare_s: args.tare_s,
+        tare_s: args.tare_s.unwrap_or(0.0),
         object_class: args.object_class.clone(),
         base_mm_s: args.base_mm_s,
         vouched: args.sweep,

@@ -19,6 +19,7 @@ use wcal_contact::table_source::TableSource;
 use wcal_contact::track_document::{LogDocument, TRACK_FORMAT, TableDocument, TrackDocument, TrackSource};
 use wcal_contact::trust::WhiskerModel;
 use wcal_contact::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
+use wcal_contact::zero::{Beginning, beginning};
 use wcal_core::observation::MomentAxes;
 use wcal_core::verify_document::GrooveTracking;
 use wcal_core::{SessionData, WhiskerData, WhiskerRow, WireFrame};
@@ -31,6 +32,8 @@ pub struct Prepared<'a> {
     estimator: Box<dyn Estimator + 'a>,
     /// Contacts have intervals: each reading knows of those before it.
     followed: bool,
+    /// Time at the beginning whose mean moments are the zero, s.
+    tare_s: f64,
     groove: Option<KnownGroove>,
     log: Option<LogDocument>,
     groove_tracking: Option<Option<GrooveTracking>>,
@@ -51,7 +54,7 @@ pub struct TrackedFolder {
 /// Where it is none of a whisker, or the zero would be taken off twice.
 pub fn load_session(args: &TrackArgs, folder: &Path) -> Result<TrackedFolder> {
     // Each mounting has the zero that its rest readings and the calibration give.
-    if args.tare_s != 0.0 {
+    if args.tare_s.is_some_and(|s| s != 0.0) {
         bail!(
             "--tare-s: expected a table or a stream, found the session folder {}: its zero is that of its rest readings",
             folder.display()
@@ -86,6 +89,7 @@ pub fn of_session<'a>(session: &TrackedFolder, loaded: &'a WhiskerModel<'a>) -> 
         frame: WireFrame::default(),
         estimator: Box::new(estimator),
         followed: false,
+        tare_s: 0.0,
         groove: None,
         log: None,
         groove_tracking,
@@ -100,7 +104,11 @@ pub fn of_session<'a>(session: &TrackedFolder, loaded: &'a WhiskerModel<'a>) -> 
 /// Where table, motion or calibration cannot be used.
 pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>) -> Result<Prepared<'a>> {
     let (frame, whisker) = (loaded.frame()?, loaded.whisker()?);
-    let source = TableSource::read(path, loaded.calibration()?, &whisker)
+    let noise = loaded.file.noise.unwrap_or_default();
+    // An older file does not say; a fit whose noise is that of its readings has none.
+    let has_misfit =
+        loaded.file.noise.is_some_and(|n| n.misfit_sd_nmm.is_some() || n.reading_sd_nmm.is_none());
+    let source = TableSource::read(path, (loaded.calibration()?, noise), &whisker)
         .with_context(|| loaded.place.display().to_string())?;
     for warning in &source.warnings {
         eprintln!("warning: {warning}");
@@ -108,15 +116,22 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
     let groove = KnownGroove::new(source.places.clone(), &whisker);
     let simulated = is_simulated(path);
     let base_from_wire = frame.rotation().inverse();
-    let prepared = move |readings, estimator: Box<dyn Estimator + 'a>, followed, log| {
+    let prepared = move |readings, estimator: Box<dyn Estimator + 'a>, (followed, tare_s), log| {
         let groove_tracking = None;
-        Prepared { readings, frame, estimator, followed, groove, log, groove_tracking, simulated }
+        Prepared { readings, frame, estimator, followed, tare_s, groove, log, groove_tracking, simulated }
     };
     if let Some(network) = loaded.estimator(args.sweep) {
-        return Ok(prepared(source.past_object(args.base_mm_s)?, Box::new(network), true, None));
+        return Ok(prepared(
+            source.past_object(args.base_mm_s)?,
+            Box::new(network),
+            (true, args.tare_s.unwrap_or(0.0)),
+            None,
+        ));
     }
     if args.motion.is_none() && !has_motion(path)? {
-        return Ok(prepared(source.alone(), Box::new(MomentsAlone::new(&whisker)), false, None));
+        let mut readings = source.alone();
+        let tare_s = zero_span_s(args, path, &mut readings, has_misfit);
+        return Ok(prepared(readings, Box::new(MomentsAlone::new(&whisker)), (false, tare_s), None));
     }
     let file = args.motion.as_deref().unwrap_or(path);
     let logged = read(file, args.motion_offset_s)?;
@@ -132,10 +147,38 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
     let axes = MomentAxes::default();
     let field = moment_field(&source.wire, &axes)
         .with_changed(source.changed.iter().map(|w| moment_field(w, &axes)).collect());
-    let readings = source.along(&logged, &(base_from_wire * field.free(0.5 * field.length_mm()).0));
+    let mut readings = source.along(&logged, &(base_from_wire * field.free(0.5 * field.length_mm()).0));
+    let tare_s = zero_span_s(args, path, &mut readings, has_misfit);
     let over_object = path.parent().and_then(SweepFolder::of).is_some();
     let estimator = KnownMotionTable::new(field, &whisker, accuracy(args), over_object);
-    Ok(prepared(readings, Box::new(estimator), false, Some(log_document(args, file, &logged))))
+    Ok(prepared(readings, Box::new(estimator), (false, tare_s), Some(log_document(args, file, &logged))))
+}
+
+/// Time whose mean moments are the zero of a table, s: the one that is stated, else its free beginning, which also says how large the
+/// readings' own noise is where the calibration does not.
+fn zero_span_s(args: &TrackArgs, path: &Path, readings: &mut [Reading], has_misfit: bool) -> f64 {
+    if let Some(span_s) = args.tare_s {
+        return span_s;
+    }
+    match beginning(readings) {
+        Beginning::Free { span_s, readings: free, noise_nmm2 } => {
+            // Where what the law leaves may be misfit, the free readings say what is noise.
+            let all = readings.iter_mut().filter_map(|r| r.moments.as_mut()).filter(|_| has_misfit);
+            all.for_each(|m| {
+                m.own_nmm2.get_or_insert(noise_nmm2);
+            });
+            eprintln!("{}: zero: the mean of the {free} free readings at its beginning", path.display());
+            span_s
+        }
+        Beginning::Loaded(nmm) => {
+            eprintln!(
+                "warning: {}: it begins at {nmm:.3} N mm, which no free wire has by this calibration: in contact, or another zero (--tare-s)",
+                path.display()
+            );
+            0.0
+        }
+        Beginning::Unknown => 0.0,
+    }
 }
 
 fn log_document(args: &TrackArgs, file: &Path, logged: &LoggedMotion) -> LogDocument {
@@ -165,7 +208,7 @@ pub fn track(
         doubts: loaded.doubts.messages(),
         calibration_sha256: loaded.file.content_sha256.clone(),
     };
-    let mut track = WhiskerTrack::new(facts, (of.frame, of.estimator), args.tare_s, of.followed);
+    let mut track = WhiskerTrack::new(facts, (of.frame, of.estimator), of.tare_s, of.followed);
     track.know_groove(of.groove);
     let mut files = output::create(&args.out, false)?;
     let mut unusable = 0;
@@ -194,7 +237,7 @@ pub fn track(
         out: args.out.clone(),
         table: Some(TableDocument {
             lag_s: 0.0,
-            tare_s: of.groove_tracking.is_none().then_some(args.tare_s),
+            tare_s: of.groove_tracking.is_none().then_some(of.tare_s),
             object_class: args.object_class.clone(),
             unusable_rows: unusable,
             motion: log,

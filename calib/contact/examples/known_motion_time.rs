@@ -47,6 +47,7 @@ fn press(field: &MomentField, seed: u64, shared: usize) -> Vec<MotionRow> {
             moment_nmm: m.map(|m| m + NOISE_NMM * rng.sample::<f64, _>(StandardNormal)),
             noise_nmm2: Matrix2::identity() * NOISE_NMM * NOISE_NMM,
             shared_nmm: (0..shared).map(|j| [1e-3 * m[j % 2], 1e-3 * (j % 3) as f64]).collect(),
+            free_nmm2: None,
             shared_way_mm: Vec::new(),
             moved_mm: push * way,
             turn: Rotation3::identity(),

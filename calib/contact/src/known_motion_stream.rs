@@ -1,8 +1,7 @@
 //! Contacts of a stream along a known motion, reading by reading: episodes and recursive posterior ([`ContactStream`]); no network.
 //!
 //! Noise: a row's own is that of the no-contact prefix through the filter; the calibration's noise from pose to pose is a draw that rows of
-//! one pose share, forgotten over half a millimetre; the zero may be off by half of that, another two unknowns of all rows. Assumptions, as
-//! for tables.
+//! one pose share, forgotten over half a millimetre (an assumption); the zero is another two unknowns of all rows ([`crate::zero`]).
 
 use crate::ContactError;
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
@@ -20,8 +19,6 @@ use wcal_core::stream::Flags;
 
 /// Displacement over which a draw of the noise from pose to pose is forgotten, mm. An assumption.
 const POSE_MM: f64 = 0.5;
-/// Share of the noise from pose to pose by which the zero may be off. An assumption, as for tables.
-const ZERO: f64 = 0.5;
 /// Share of the noise from pose to pose that a row has for itself where no prefix was measured. An assumption, as for the filters.
 const WHITE: f64 = 0.2;
 /// A contact goes on over rows without moments or motion for so long, s: the displacement is known again after them.
@@ -78,7 +75,7 @@ impl KnownMotionStream {
         if self.last_s.replace(row.t_s).is_some_and(|last| row.t_s - last > MAX_LOST_S) {
             stream.interrupt();
         }
-        let zero = pose_nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l() * ZERO);
+        let zero = m.zero_nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l());
         let mut shared_nmm = m.shared_nmm.clone();
         shared_nmm.extend(zero.column_iter().map(|c| [c[0], c[1]]));
         let reading = MotionRow {
@@ -86,6 +83,7 @@ impl KnownMotionStream {
             moment_nmm: m.moment_nmm,
             noise_nmm2: m.own_nmm2.unwrap_or(pose_nmm2 * WHITE * WHITE),
             shared_nmm,
+            free_nmm2: None,
             shared_way_mm: Vec::new(),
             moved_mm: motion.moved_mm,
             turn: motion.turn,

@@ -17,8 +17,6 @@ use std::collections::BTreeMap;
 use wcal_core::WhiskerSpec;
 use wcal_core::stream::Flags;
 
-/// Share of the noise from pose to pose by which the zero may be off in another record. An assumption, as for the filters.
-const ZERO: f64 = 0.5;
 /// Noise from pose to pose is one draw for poses nearer than this, mm: rows of a dense record are not that many poses. An assumption.
 const SAME_POSE_MM: f64 = 1.0;
 
@@ -55,6 +53,8 @@ pub struct KnownMotionTable {
     lost: BTreeMap<&'static str, u64>,
     /// Which readings have no motion.
     without: Vec<usize>,
+    /// By row: variances of the misfit that readings share, where their own noise is known, (N mm)^2.
+    misfit_nmm2: Vec<Option<[f64; 2]>>,
     contacts: Vec<TableContact>,
 }
 
@@ -78,17 +78,36 @@ impl KnownMotionTable {
             readings: 0,
             lost: BTreeMap::new(),
             without: Vec::new(),
+            misfit_nmm2: Vec::new(),
             contacts: Vec::new(),
+        }
+    }
+
+    /// Noise of the readings, and the misfit of the calibration's law that they share.
+    ///
+    /// Where the readings' own noise is known, the misfit S is an error that is none at the free wire and grows with the moment, a matrix of
+    /// gains of which nothing is known but its size: `e_i = sum_j g_ij m_j / |m|_max`, `g_ij ~ N(0, S_ii / 2)`. Where it is not, rows of one
+    /// pose have one noise from pose to pose, and each counts for its share.
+    fn split_noise(&mut self) {
+        let size = |r: &MotionRow| r.moment_nmm[0].hypot(r.moment_nmm[1]);
+        let largest_nmm = self.rows.iter().map(size).fold(1e-9, f64::max);
+        let poses: Vec<f64> = (0..self.rows.len()).map(|k| same_pose(&self.rows, k)).collect();
+        for ((row, misfit), n) in self.rows.iter_mut().zip(&self.misfit_nmm2).zip(poses) {
+            let Some(misfit) = misfit else {
+                row.noise_nmm2 *= n;
+                continue;
+            };
+            for (i, m) in [0, 1].into_iter().flat_map(|i| row.moment_nmm.map(|m| (i, m))) {
+                let mut column = [0.0; 2];
+                column[i] = (0.5 * misfit[i]).sqrt() * m / largest_nmm;
+                row.shared_nmm.push(column);
+            }
         }
     }
 
     /// Contacts of the readings so far.
     fn locate(&mut self) -> Result<(), ContactError> {
-        // Rows of one pose have one noise from pose to pose: each counts for its share.
-        let poses: Vec<f64> = (0..self.rows.len()).map(|k| same_pose(&self.rows, k)).collect();
-        for (row, n) in self.rows.iter_mut().zip(poses) {
-            row.noise_nmm2 *= n;
-        }
+        self.split_noise();
         let ranges = episodes(&self.field, &mut self.rows, &self.pieces);
         let settings = Settings { clock_sd_s: self.accuracy.clock_sd_s, ..Settings::default() };
         let one = |[from, to]: &[usize; 2]| {
@@ -174,14 +193,18 @@ impl Estimator for KnownMotionTable {
             self.without.push(number);
         }
         let (Some(m), Ok(motion)) = (&reading.moments, &reading.motion) else { return Ok(Vec::new()) };
-        // A zero of its own, by the noise: two more unknowns that all rows share.
-        let zero = m.pose_nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l() * ZERO);
+        let columns = |nmm2: &Matrix2<f64>| -> Vec<[f64; 2]> {
+            let root = nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l());
+            root.column_iter().map(|c| [c[0], c[1]]).collect()
+        };
         let mut shared_nmm = m.shared_nmm.clone();
-        shared_nmm.extend(zero.column_iter().map(|c| [c[0], c[1]]));
+        shared_nmm.extend(columns(&m.zero_nmm2));
+        self.misfit_nmm2.push(m.own_nmm2.map(|own| misfit(&m.pose_nmm2, &own)));
         self.rows.push(MotionRow {
             t_s: reading.t_s,
             moment_nmm: m.moment_nmm,
-            noise_nmm2: m.pose_nmm2,
+            noise_nmm2: m.own_nmm2.unwrap_or(m.pose_nmm2),
+            free_nmm2: m.own_nmm2.map(|own| own + m.zero_nmm2),
             shared_way_mm: Vec::new(),
             shared_nmm,
             moved_mm: motion.moved_mm,
@@ -227,6 +250,11 @@ impl Estimator for KnownMotionTable {
         let lost = !self.lost.is_empty();
         Findings { document, messages: self.messages(), lost, doubt, ..Findings::default() }
     }
+}
+
+/// What of the noise from pose to pose is no noise of a reading, (N mm)^2.
+fn misfit(pose_nmm2: &Matrix2<f64>, own_nmm2: &Matrix2<f64>) -> [f64; 2] {
+    [0, 1].map(|c| (pose_nmm2[(c, c)] - own_nmm2[(c, c)]).max(0.0))
 }
 
 /// Rows around one that are of its pose.

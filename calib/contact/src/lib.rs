@@ -35,5 +35,6 @@ pub mod track_document;
 pub mod track_table;
 pub mod trust;
 pub mod whisker_track;
+pub mod zero;
 
 pub use error::ContactError;

@@ -1,11 +1,13 @@
 //! One reading of a whisker as every source gives it and every estimator takes it.
 //!
 //! ```text
-//! m = m_true + h c + b + n,    c ~ N(0, 1),   b ~ N(0, B),   n ~ N(0, R)
+//! m = m_true + h c - z + b + n,    c ~ N(0, 1),   z ~ N(0, Z),   b ~ N(0, B),   n ~ N(0, R)
 //! ```
 //!
-//! h: by how much one standard deviation of each unknown that all readings share (calibration, zero) makes the moments too large; B: noise
-//! from pose to pose, one draw for readings of one pose; R: the reading's own noise, where it was measured.
+//! h: by how much one standard deviation of each unknown of the calibration, which all readings share, makes the moments too large; z: what
+//! is not known of the record's zero, drift included; B: noise from pose to pose, as the calibration's own readings have it about its law, one
+//! draw for readings of one pose; R: the reading's own noise, where it is known. B - R is the law's misfit: no noise of a reading, but an error
+//! that readings of like moments share.
 
 use crate::known_motion::Lost;
 use nalgebra::{Matrix2, Rotation3, Vector3};
@@ -23,8 +25,12 @@ pub struct Moments {
     pub valid: bool,
     /// Covariance B of the noise from pose to pose, (N mm)^2.
     pub pose_nmm2: Matrix2<f64>,
-    /// Covariance R of the reading's own noise, where it was measured, (N mm)^2.
+    /// Covariance R of the reading's own noise, where it is known, (N mm)^2.
     pub own_nmm2: Option<Matrix2<f64>>,
+    /// Covariance of the drift of the zero within a record, (N mm)^2; 0 where none is known.
+    pub drift_nmm2: Matrix2<f64>,
+    /// Covariance Z of what is not known of the zero, (N mm)^2 ([`crate::zero`]).
+    pub zero_nmm2: Matrix2<f64>,
     /// Columns h, N mm; as many in every reading of a source.
     pub shared_nmm: Vec<[f64; 2]>,
 }

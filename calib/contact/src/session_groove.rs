@@ -14,7 +14,7 @@ use crate::known_motion::{
 };
 use crate::reading::{Moments, Reading};
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::{Matrix2, Rotation3, Vector3};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::observation::MomentAxes;
@@ -178,6 +178,7 @@ pub fn track(
                 moment_nmm: frame.moment(r.moment_nmm),
                 noise_nmm2: frame.covariance(&r.noise_nmm2),
                 shared_nmm: r.shared_nmm.iter().map(|h| frame.moment(*h)).collect(),
+                free_nmm2: None,
                 shared_way_mm: r.shared_way_mm.iter().map(|w| direction * *w).collect(),
                 moved_mm: direction * r.stage_mm,
                 velocity_mm_s: direction * r.velocity_mm_s,
@@ -311,6 +312,8 @@ pub fn session_readings(
             valid: r.valid,
             pose_nmm2: r.noise_nmm2,
             own_nmm2: None,
+            drift_nmm2: Matrix2::zeros(),
+            zero_nmm2: Matrix2::zeros(),
             shared_nmm: r.shared_nmm.clone(),
         };
         Reading {

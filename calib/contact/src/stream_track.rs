@@ -14,7 +14,7 @@ use crate::track_document::{
 use crate::track_table::{TrackFiles, TrackRow, event_message};
 use crate::trust::WhiskerModel;
 use crate::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
-use nalgebra::Vector3;
+use nalgebra::{Matrix2, Vector3};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -415,6 +415,8 @@ impl<'a> Whisker<'a> {
             valid: m.valid,
             pose_nmm2: noise_nmm2,
             own_nmm2: self.chain.row_noise_nmm2(),
+            drift_nmm2: Matrix2::zeros(),
+            zero_nmm2: Matrix2::zeros(),
             shared_nmm,
         });
         self.track.push(Reading {

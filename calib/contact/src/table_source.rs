@@ -6,12 +6,12 @@ use crate::known_groove::{KnownPlace, velocities};
 use crate::known_motion::{Lost, Motion};
 use crate::motion_table::{LoggedMotion, is_motion_column};
 use crate::reading::{Moments, Reading, RowMotion};
-use nalgebra::{Isometry3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix2, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use wcal_calibration::{SensedRow, SensedTable, WhiskerCalibration};
-use wcal_core::WhiskerSpec;
 use wcal_core::stream::Flags;
+use wcal_core::{CalibrationNoise, WhiskerSpec};
 use wcal_session::{SessionWarning, TextTable, TextTableLayout, WarningKind, read_text_table};
 use wcal_trace::whisker::groove_motion::AcceptedWire;
 use wcal_track::stream::BasePose;
@@ -23,6 +23,8 @@ const GAP_STEPS: f64 = 4.0;
 pub struct TableSource {
     path: PathBuf,
     rows: Vec<SensedRow>,
+    /// What the calibration's errors are made of, where it says.
+    noise: CalibrationNoise,
     /// Whether the calibration needs the strain-isolated grating in every row.
     needs_reference: bool,
     /// The wire as the calibration has it, and by one standard deviation of each of the first common unknowns.
@@ -42,7 +44,7 @@ impl TableSource {
     /// Where the table cannot be used, by line.
     pub fn read(
         path: &Path,
-        calibration: &dyn WhiskerCalibration,
+        (calibration, noise): (&dyn WhiskerCalibration, CalibrationNoise),
         whisker: &WhiskerSpec,
     ) -> Result<Self, ContactError> {
         let SensedTable { rows, wire, changed, warnings } = calibration.sensed(path, whisker)?;
@@ -67,7 +69,7 @@ impl TableSource {
         }
         let warnings = warnings.into_iter().filter(|w| !of_motion(w)).collect();
         let places = known_places(path)?;
-        Ok(Self { path: path.to_owned(), rows, needs_reference, wire, changed, warnings, places })
+        Ok(Self { path: path.to_owned(), rows, noise, needs_reference, wire, changed, warnings, places })
     }
 
     /// First and last time, s; none without readings.
@@ -140,7 +142,9 @@ impl TableSource {
             sd_nmm: row.sd_nmm(),
             valid: s.valid,
             pose_nmm2: s.noise_nmm2,
-            own_nmm2: None,
+            own_nmm2: self.noise.misfit_sd_nmm.and(self.noise.reading_sd_nmm).map(diagonal),
+            drift_nmm2: self.noise.drift_sd_nmm.map_or_else(Matrix2::zeros, diagonal),
+            zero_nmm2: Matrix2::zeros(),
             shared_nmm: s.shared_nmm.clone(),
         };
         Reading {
@@ -157,6 +161,10 @@ impl TableSource {
             gap: false,
         }
     }
+}
+
+fn diagonal(sd_nmm: [f64; 2]) -> Matrix2<f64> {
+    Matrix2::from_diagonal(&Vector2::from(sd_nmm.map(|s| s * s)))
 }
 
 /// Median time between the rows of a table, s; none without times.

@@ -1,7 +1,7 @@
 //! The track of one whisker: readings in, rows out, whatever the source and the estimator.
 //!
 //! ```text
-//! reading -> zero (Tare) -> frame of the wire -> estimator -> contact -> base frame -> known groove, contact intervals and cloud -> row
+//! reading -> zero -> frame of the wire -> estimator -> contact -> base frame -> known groove, contact intervals and cloud -> row
 //! ```
 
 use crate::ContactError;
@@ -12,10 +12,10 @@ use crate::known_groove::KnownGroove;
 use crate::reading::{Moments, Reading};
 use crate::track_document::WhiskerDocument;
 use crate::track_table::TrackRow;
+use crate::zero::Zero;
 use std::collections::VecDeque;
 use wcal_core::WireFrame;
 use wcal_core::stream::StreamMoments;
-use wcal_track::Tare;
 
 /// What stands beside the rows of a whisker.
 #[derive(Debug, Clone, Default)]
@@ -41,7 +41,7 @@ pub struct WhiskerTrack<'a> {
     facts: WhiskerFacts,
     frame: WireFrame,
     estimator: Box<dyn Estimator + 'a>,
-    tare: Tare,
+    zero: Zero,
     pending: VecDeque<Pending>,
     /// Contact intervals and cloud; no intervals where each reading stands by itself.
     history: ContactHistory,
@@ -67,7 +67,7 @@ impl<'a> WhiskerTrack<'a> {
             facts,
             frame,
             estimator,
-            tare: Tare::new(tare_s),
+            zero: Zero::new(tare_s),
             pending: VecDeque::new(),
             history,
             followed,
@@ -89,8 +89,8 @@ impl<'a> WhiskerTrack<'a> {
     /// For a reading that cannot be used.
     pub fn push(&mut self, reading: Reading) -> Result<Vec<TrackRow>, ContactError> {
         let t_s = reading.t_s;
-        let zeroed = |m: Moments| Moments { moment_nmm: self.tare.zeroed(t_s, m.moment_nmm), ..m };
-        let reading = Reading { moments: reading.moments.clone().map(zeroed), ..reading };
+        let moments = reading.moments.clone().map(|m| self.zero.applied(t_s, m));
+        let reading = Reading { moments, ..reading };
         let contacts = self.estimator.push(&in_wire_frame(&self.frame, &reading))?;
         let moments = reading.moments.as_ref().map(Moments::stated);
         self.pending.push_back(Pending { reading, moments });

@@ -99,6 +99,7 @@ fn press(field: &MomentField, seed: u64, draws: Draws) -> Option<Press> {
             moment_nmm: [0, 1].map(|c| draws.scale * (m[c] + off(c) + NOISE_NMM * normal(&mut rng))),
             noise_nmm2: Matrix2::identity() * NOISE_NMM * NOISE_NMM,
             shared_nmm,
+            free_nmm2: None,
             shared_way_mm: Vec::new(),
             moved_mm: push * *way,
             turn: Rotation3::identity(),

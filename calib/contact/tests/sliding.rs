@@ -14,8 +14,8 @@ use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
 use wcal_rod::Shape;
 use wcal_sim::SweepPlan;
 use wcal_sim::objects::built_in;
-use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_track::SweepSample;
+use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
 
 const OBJECTS: [&str; 8] = ["ball", "block", "bottle", "hexagon-bar", "can", "vase", "wedge", "rock"];
 const DIRECTIONS_DEG: [f64; 4] = [0.0, 90.0, 200.0, 300.0];
@@ -59,6 +59,7 @@ fn tracks(angle_deg: f64, seed: u64) -> Vec<Track> {
                 moment_nmm: [m.y + zero[0] + normal(NOISE_NMM), m.z + zero[1] + normal(NOISE_NMM)],
                 noise_nmm2: Matrix2::identity() * NOISE_NMM * NOISE_NMM,
                 shared_nmm: vec![[ZERO_NMM, 0.0], [0.0, ZERO_NMM]],
+                free_nmm2: None,
                 shared_way_mm: Vec::new(),
                 moved_mm: back * Vector3::z() * -s.travel_mm,
                 turn: Rotation3::identity(),

@@ -41,6 +41,7 @@ fn rows(case: &SweepCase, gain: f64, way: f64) -> Vec<MotionRow> {
             moment_nmm: m.into(),
             noise_nmm2,
             shared_nmm: [[zero_nmm, 0.0], [0.0, zero_nmm]].into_iter().chain(map).collect(),
+            free_nmm2: None,
             shared_way_mm: Vec::new(),
             moved_mm: -case.readings[k].base_mm * way,
             turn: Rotation3::identity(),
@@ -99,7 +100,11 @@ fn sweeps_of_foreign_wires_are_followed_and_their_regions_hold() {
     let mut supported = 0;
     for (seed, rows, shifted, contact) in &found {
         supported += usize::from(contact.supported());
-        println!("{seed}: {} J / n {:.2}", said(rows), -2.0 * contact.evidence / contact.predicted.max(1) as f64);
+        println!(
+            "{seed}: {} J / n {:.2}",
+            said(rows),
+            -2.0 * contact.evidence / contact.predicted.max(1) as f64
+        );
         all.extend(rows.iter().copied());
         beside.extend(shifted.iter().copied());
     }

@@ -14,9 +14,17 @@ fn contacts_are_in_equilibrium_on_the_body_within_the_cone() {
         let touches: Vec<_> = case.readings.iter().filter_map(|r| r.touch.map(|t| (r, t))).collect();
         println!(
             "{seed}: {} of {} readings, {} rejected, mu {:.2}, peak {peak:.2} N mm, noise {:.4}, arcs {:.1} .. {:.1} of {:.0}, {:?}, {:.0} Hz, {:.1} s",
-            touches.len(), case.readings.len(), case.rejected, case.scene.friction, case.noise_nmm(),
-            touches[0].1.arclength_mm, touches[touches.len() - 1].1.arclength_mm, wire.length_mm, case.scene.body.outline,
-            case.scene.rate_hz, start.elapsed().as_secs_f64()
+            touches.len(),
+            case.readings.len(),
+            case.rejected,
+            case.scene.friction,
+            case.noise_nmm(),
+            touches[0].1.arclength_mm,
+            touches[touches.len() - 1].1.arclength_mm,
+            wire.length_mm,
+            case.scene.body.outline,
+            case.scene.rate_hz,
+            start.elapsed().as_secs_f64()
         );
         for (r, t) in touches {
             let (distance, normal) = case.scene.body.closest(&(t.axis_mm + r.base_mm));
@@ -29,7 +37,10 @@ fn contacts_are_in_equilibrium_on_the_body_within_the_cone() {
             // The rod's other solver, which knows no body, finds the same force for the same contact point (without friction).
             if case.scene.friction == 0.0 && !tip {
                 let start = wcal_plant::rod::Equilibrium {
-                    force_n: t.force_n, arclength_mm: t.arclength_mm, tangent: t.tangent, moment_nmm: t.moment_nmm,
+                    force_n: t.force_n,
+                    arclength_mm: t.arclength_mm,
+                    tangent: t.tangent,
+                    moment_nmm: t.moment_nmm,
                 };
                 let e = wire.solve(&t.axis_mm, 0.0, &start, &mut None).unwrap();
                 let off = (e.moment_nmm - t.moment_nmm).norm();

@@ -47,8 +47,9 @@ pub struct ContactPath<'a> {
 
 /// Whether a reading is loaded beyond its noise.
 pub(crate) fn loaded(row: &MotionRow) -> bool {
-    let shared: f64 = row.shared_nmm.iter().map(|h| h[0] * h[0] + h[1] * h[1]).sum();
-    let sd = (row.noise_nmm2.trace() + shared).max(0.0).sqrt();
+    let shared = || row.shared_nmm.iter().map(|h| h[0] * h[0] + h[1] * h[1]).sum::<f64>();
+    let variance = row.free_nmm2.map_or_else(|| row.noise_nmm2.trace() + shared(), |free| free.trace());
+    let sd = variance.max(0.0).sqrt();
     !row.free && row.moment_nmm[0].hypot(row.moment_nmm[1]) > LOADED_SDS * sd
 }
 

@@ -70,6 +70,7 @@ mod tests {
             moment_nmm: [0.0; 2],
             noise_nmm2,
             shared_nmm: vec![[0.1, 0.2]],
+            free_nmm2: None,
             shared_way_mm: vec![Vector3::x()],
             moved_mm: Vector3::zeros(),
             turn: Rotation3::identity(),

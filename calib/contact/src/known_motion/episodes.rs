@@ -87,6 +87,7 @@ mod tests {
             moment_nmm: [(z - 2.0).max(0.0) * 0.1, 0.0],
             noise_nmm2: Matrix2::identity() * 1e-6,
             shared_nmm: Vec::new(),
+            free_nmm2: None,
             shared_way_mm: Vec::new(),
             moved_mm: Vector3::z() * *z,
             turn: Rotation3::identity(),

@@ -300,6 +300,7 @@ mod tests {
             noise_nmm2: Matrix2::new(2e-4, 5e-5, 5e-5, 1e-4) * f64::from(k + 1),
             // The third is the sum of the first two: of a covariance without full rank.
             shared_nmm: vec![[0.01, 0.0], [0.02 * f64::from(k), 0.03], [0.01 + 0.02 * f64::from(k), 0.03]],
+            free_nmm2: None,
             shared_way_mm: Vec::new(),
             moved_mm: Vector3::z() * f64::from(k),
             turn: Rotation3::identity(),

@@ -72,6 +72,9 @@ pub struct MotionRow {
     /// Errors shared with the other readings: by how much one standard deviation of each common unknown makes the moments too large,
     /// N mm; the same number in every row.
     pub shared_nmm: Vec<[f64; 2]>,
+    /// Covariance of the moments of a free wire, where it is less than noise and shared errors make here, (N mm)^2: an error that grows with
+    /// the moment is none there.
+    pub free_nmm2: Option<Matrix2<f64>>,
     /// By how much each changes the displacement, base frame, mm; the same number, or empty where the displacement depends on none.
     pub shared_way_mm: Vec<Vector3<f64>>,
     /// Displacement of the object with respect to the base, base frame, mm, up to a constant in the episode: a point is at `turn p + moved`.

@@ -147,7 +147,8 @@ mod tests {
                 let c: Vec<(usize, f64)> = (0..m).map(|a| (a, value(7 * a + k + 3 * part))).collect();
                 let (weight, r) = (1.0 + 0.1 * k as f64, value(k + 29 * part));
                 normal.add(weight, r, &j, &c);
-                let row: Vec<(usize, f64)> = j.into_iter().chain(c.into_iter().map(|(a, v)| (n + a, v))).collect();
+                let row: Vec<(usize, f64)> =
+                    j.into_iter().chain(c.into_iter().map(|(a, v)| (n + a, v))).collect();
                 for (a, va) in &row {
                     right[*a] -= weight * va * r;
                     row.iter().for_each(|(b, vb)| dense[(*a, *b)] += weight * va * vb);

@@ -39,7 +39,9 @@ fn mean(rows: &[MotionRow]) -> MotionRow {
         t_s: of(&|r| r.t_s),
         moment_nmm: [0, 1].map(|c| of(&|r| r.moment_nmm[c])),
         noise_nmm2: rows.iter().map(|r| r.noise_nmm2).sum::<Matrix2<f64>>() / (n * n),
-        shared_nmm: (0..middle.shared_nmm.len()).map(|j| [0, 1].map(|c| of(&|r| r.shared_nmm[j][c]))).collect(),
+        shared_nmm: (0..middle.shared_nmm.len())
+            .map(|j| [0, 1].map(|c| of(&|r| r.shared_nmm[j][c])))
+            .collect(),
         moved_mm: rows.iter().map(|r| r.moved_mm).sum::<Vector3<f64>>() / n,
         moved_sd_mm: of(&|r| r.moved_sd_mm),
         ..middle.clone()

@@ -168,7 +168,12 @@ impl TouchedWire {
     }
 
     /// Normal force and azimuth that give a moment at a place along the wire, from a guess; none where none is found.
-    pub(super) fn frictionless(&self, q: f64, moment_nmm: &Vector2<f64>, guess: Option<State>) -> Option<State> {
+    pub(super) fn frictionless(
+        &self,
+        q: f64,
+        moment_nmm: &Vector2<f64>,
+        guess: Option<State>,
+    ) -> Option<State> {
         let mut x = guess.unwrap_or_else(|| self.light(q, moment_nmm));
         x[0] = q;
         for _ in 0..FORCE_STEPS {
@@ -241,7 +246,9 @@ mod tests {
             assert!((other[1] - 0.02).abs() > 1e-4, "{q}");
         }
         let normal = |q: f64| wire.show(&State::from([q, 0.02, 0.7, 0.0, 0.0])).normal();
-        let steps: Vec<f64> = (0..200).map(|k| (normal(30.5 + 0.1 * f64::from(k + 1)) - normal(30.5 + 0.1 * f64::from(k))).norm()).collect();
+        let steps: Vec<f64> = (0..200)
+            .map(|k| (normal(30.5 + 0.1 * f64::from(k + 1)) - normal(30.5 + 0.1 * f64::from(k))).norm())
+            .collect();
         let largest = steps.iter().copied().fold(0.0, f64::max);
         assert!(largest < 3.0 * steps[100] + 1e-3, "{largest} {}", steps[100]);
     }

@@ -17,8 +17,8 @@
 //! `A ds/dt + (dP/dm . n) dm/dt + v . n = 0`, `A = dP/ds|_m . n`, which vanishes with the load: while the load rises an error of s falls as |m|^-4 (a
 //! straight cantilever), while it falls it grows. So each end of a contact is found from its middle and from how fast the load grows there.
 
-use super::contact_state::{Rates, STATE, Shown, State, TouchedWire};
 use super::banded::Normal;
+use super::contact_state::{Rates, STATE, Shown, State, TouchedWire};
 use crate::known_motion::MotionRow;
 use nalgebra::{DVector, Matrix2, Vector2, Vector3};
 
@@ -104,7 +104,17 @@ impl<'a> Chain<'a> {
             k => (rows[k].moved_mm - rows[k - 1].moved_mm).norm(),
         };
         let shared = rows.first().map_or(0, |r| r.shared_nmm.len());
-        Self { wire, rows, whiten, step_mm: (0..rows.len()).map(step).collect(), slips_off, shared, friction: 0.0, heavy: true, by_slip: false }
+        Self {
+            wire,
+            rows,
+            whiten,
+            step_mm: (0..rows.len()).map(step).collect(),
+            slips_off,
+            shared,
+            friction: 0.0,
+            heavy: true,
+            by_slip: false,
+        }
     }
 
     /// The common unknowns before any reading.
@@ -158,7 +168,9 @@ impl<'a> Chain<'a> {
                 let off = step.dot(&(here.y.normal() + before.y.normal())) * 0.5;
                 let moved_sd = self.rows[k].moved_sd_mm.hypot(self.rows[k - 1].moved_sd_mm);
                 let way = step.norm();
-                let sd = SURFACE_MM.hypot(SURFACE_TURN * turned.min(0.5) * way.min(3.0 * self.step_mm[k])).hypot(moved_sd);
+                let sd = SURFACE_MM
+                    .hypot(SURFACE_TURN * turned.min(0.5) * way.min(3.0 * self.step_mm[k]))
+                    .hypot(moved_sd);
                 let leap = way - LEAP_STEPS * self.step_mm[k] - LEAP_MM;
                 Vector2::new(off / sd, leap.max(0.0) / LEAP_MM)
             }
@@ -201,7 +213,8 @@ impl<'a> Chain<'a> {
         light[1] = 0.0;
         let row = &self.rows[k];
         let free = self.wire.show(&light).on_object(&row.turn, &row.moved_mm);
-        let hidden = 4.0 * (row.noise_nmm2.trace() / 2.0).sqrt() * y.arclength_mm().powi(2) / (3.0 * self.wire.ei_nmm2);
+        let hidden = 4.0 * (row.noise_nmm2.trace() / 2.0).sqrt() * y.arclength_mm().powi(2)
+            / (3.0 * self.wire.ei_nmm2);
         let step = self.step_mm.get(k.max(1)).copied().unwrap_or(0.0);
         (y.point_mm() - free.point_mm()).norm() / (step + hidden)
     }
@@ -216,7 +229,10 @@ impl<'a> Chain<'a> {
 
     /// What all states show on the object.
     pub(super) fn locals(&self, x: &[State]) -> Vec<Local> {
-        x.iter().zip(self.rows).map(|(x, r)| Local { x: *x, y: self.wire.show(x).on_object(&r.turn, &r.moved_mm) }).collect()
+        x.iter()
+            .zip(self.rows)
+            .map(|(x, r)| Local { x: *x, y: self.wire.show(x).on_object(&r.turn, &r.moved_mm) })
+            .collect()
     }
 
     /// Sum of squares of the residuals of a kind, heavy tails included.
@@ -273,7 +289,8 @@ impl<'a> Chain<'a> {
                     }
                 }
                 for i in 0..Self::numbers(kind) {
-                    let of = |v: &[(usize, Vector2<f64>)]| v.iter().map(|(n, d)| (*n, d[i])).collect::<Vec<_>>();
+                    let of =
+                        |v: &[(usize, Vector2<f64>)]| v.iter().map(|(n, d)| (*n, d[i])).collect::<Vec<_>>();
                     normal.add(weight, r[i], &of(&j), &of(&common));
                 }
             }
@@ -284,4 +301,3 @@ impl<'a> Chain<'a> {
         normal
     }
 }
-

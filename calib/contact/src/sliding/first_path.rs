@@ -45,7 +45,11 @@ pub(super) fn first_paths(chain: &Chain<'_>) -> Vec<Vec<State>> {
     [false, true].into_iter().filter_map(from).collect()
 }
 
-fn best_path(chain: &Chain<'_>, solved: &[Vec<Candidate>], begins: impl Fn(&State) -> bool) -> Option<Vec<State>> {
+fn best_path(
+    chain: &Chain<'_>,
+    solved: &[Vec<Candidate>],
+    begins: impl Fn(&State) -> bool,
+) -> Option<Vec<State>> {
     let n = solved.first()?.len();
     let ei = chain.wire.ei_nmm2;
     // Spread of a node across the surface: noise by compliance, and half the distance of two nodes along the normal.
@@ -136,25 +140,28 @@ fn candidates(chain: &Chain<'_>) -> Vec<Vec<Candidate>> {
     for row in chain.rows {
         let moment = Vector2::from(row.moment_nmm);
         for (state, q) in last.iter_mut().zip(&places) {
-            *state = chain.wire.frictionless(*q, &moment, *state).or_else(|| chain.wire.frictionless(*q, &moment, None));
+            *state = chain
+                .wire
+                .frictionless(*q, &moment, *state)
+                .or_else(|| chain.wire.frictionless(*q, &moment, None));
         }
         for (state, low) in high.iter_mut().zip(&last) {
             *state = low.as_ref().and_then(|low| chain.wire.past_fold(low, &moment));
         }
         let mut fine = Vec::with_capacity(2 * places.len() * PARTS);
         for last in [&last, &high] {
-        for (i, state) in last.iter().enumerate() {
-            let parts = if i + 1 < places.len() { PARTS } else { 1 };
-            for part in 0..parts {
-                let u = part as f64 / PARTS as f64;
-                let between = match (part, state, last.get(i + 1).copied().flatten()) {
-                    (0, here, _) => *here,
-                    (_, Some(a), Some(b)) => Some(between_states(a, &b, u)),
-                    _ => None,
-                };
-                fine.push(between.map(|x| (x, chain.wire.show(&x).on_object(&row.turn, &row.moved_mm))));
+            for (i, state) in last.iter().enumerate() {
+                let parts = if i + 1 < places.len() { PARTS } else { 1 };
+                for part in 0..parts {
+                    let u = part as f64 / PARTS as f64;
+                    let between = match (part, state, last.get(i + 1).copied().flatten()) {
+                        (0, here, _) => *here,
+                        (_, Some(a), Some(b)) => Some(between_states(a, &b, u)),
+                        _ => None,
+                    };
+                    fine.push(between.map(|x| (x, chain.wire.show(&x).on_object(&row.turn, &row.moved_mm))));
+                }
             }
-        }
         }
         all.push(fine);
     }

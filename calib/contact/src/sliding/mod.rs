@@ -34,6 +34,7 @@ mod smooth;
 pub use contact_state::TouchedWire;
 
 use crate::arc::arclength_regions;
+use crate::known_motion::contact_path::loaded;
 use crate::known_motion::{MotionRow, Place, Region};
 use blocks::blocks;
 use factors::Chain;
@@ -52,8 +53,7 @@ const MODEL_SD_MM: f64 = 0.1;
 const MAX_COST: f64 = 3.0;
 /// Fewer blocks support nothing.
 const MIN_BLOCKS: usize = 8;
-/// A reading is loaded beyond this many standard deviations; a load that falls by less than this share until the end is lost at once.
-const LOADED_SDS: f64 = 4.0;
+/// A load that would last for more than so many readings as it falls is lost at once.
 const LOST_AT_ONCE: f64 = 3.0;
 /// Spacing of the regions' nodes along the wire, mm.
 const NODE_MM: f64 = 0.1;
@@ -140,14 +140,8 @@ pub fn locate_sliding(wire: &TouchedWire, rows: &[MotionRow]) -> SlidingContact 
 
 /// First and last of the readings that are loaded, each with a neighbour that is, too.
 fn touching(rows: &[MotionRow]) -> Option<[usize; 2]> {
-    let loaded = |k: usize| {
-        let row = &rows[k];
-        let shared: f64 = row.shared_nmm.iter().map(|h| h[0] * h[0] + h[1] * h[1]).sum();
-        let sd = (row.noise_nmm2.trace() + shared).sqrt();
-        !row.free && Vector2::from(row.moment_nmm).norm() > LOADED_SDS * sd
-    };
-    let first = (1..rows.len()).find(|k| loaded(*k) && loaded(k - 1))? - 1;
-    let last = (1..rows.len()).rev().find(|k| loaded(*k) && loaded(k - 1))?;
+    let first = (1..rows.len()).find(|k| loaded(&rows[*k]) && loaded(&rows[k - 1]))? - 1;
+    let last = (1..rows.len()).rev().find(|k| loaded(&rows[*k]) && loaded(&rows[k - 1]))?;
     Some([first, last])
 }
 
@@ -218,7 +212,8 @@ fn regions(each: &[(f64, BlockPosterior)], length_mm: f64) -> Vec<Region> {
     let mut weights = vec![0.0_f64; nodes.len()];
     for (w, b) in each {
         let sd = b.sd_mm.hypot(MODEL_SD_MM);
-        let below = |s: f64| 0.5 * statrs::function::erf::erfc((b.arclength_mm - s) / sd / std::f64::consts::SQRT_2);
+        let below =
+            |s: f64| 0.5 * statrs::function::erf::erfc((b.arclength_mm - s) / sd / std::f64::consts::SQRT_2);
         let mut last = 0.0;
         for (k, weight) in weights.iter_mut().enumerate() {
             let next = if k == count { 1.0 } else { below(at(k) + 0.5 * NODE_MM) };

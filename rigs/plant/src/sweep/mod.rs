@@ -118,8 +118,10 @@ impl Scene {
             },
         };
         let within = Rotation3::from_axis_angle(&V3::y_axis(), rng.random_range(-0.8..0.8));
-        let turn: Matrix3<f64> =
-            (Rotation3::from_axis_angle(&V3::x_axis(), c) * Rotation3::from_axis_angle(&V3::z_axis(), a) * within).into();
+        let turn: Matrix3<f64> = (Rotation3::from_axis_angle(&V3::x_axis(), c)
+            * Rotation3::from_axis_angle(&V3::z_axis(), a)
+            * within)
+            .into();
         let mut body = Body { outline, centre_mm: V3::zeros(), turn, half_mm: 60.0 };
         // How near to the root the body reaches, as a share of the free wire's reach.
         let near = rng.random_range(0.55..0.88) * wire.rest(wire.length_mm).0.x;
@@ -167,7 +169,10 @@ impl Scene {
             match &slide.touch {
                 Some(t) => {
                     let [y, z] = [t.moment_nmm.y, t.moment_nmm.z];
-                    if t.arclength_mm < MIN_ARC_MM || y.hypot(z) > max_moment || slide.overlap_mm() > MAX_OVERLAP_MM {
+                    if t.arclength_mm < MIN_ARC_MM
+                        || y.hypot(z) > max_moment
+                        || slide.overlap_mm() > MAX_OVERLAP_MM
+                    {
                         return None;
                     }
                     (touches, free) = (touches + 1, 0);
@@ -223,8 +228,13 @@ impl SweepCase {
     /// # Errors
     /// As [`session::draw`].
     pub fn session(&self) -> Result<Case, PlantError> {
-        let request =
-            Request { seed: self.seed, design: Design::Paper, want: Want::Null, target_sigma: 0.0, rivals: false };
+        let request = Request {
+            seed: self.seed,
+            design: Design::Paper,
+            want: Want::Null,
+            target_sigma: 0.0,
+            rivals: false,
+        };
         session::draw_on(&request, self.scene.bench.clone())
     }
 
@@ -243,11 +253,18 @@ impl SweepCase {
         self.session()?.write(&folder.join("session"))?;
         let mut readings = "k,t_s,fbg_ref_nm,temperature_degc,fbg_1_nm,fbg_2_nm\n".to_owned();
         let mut base = "t_s,base_x_mm,base_y_mm,base_z_mm\n".to_owned();
-        let mut truth = "k,t_s,contact,arclength_mm,axis_x_mm,axis_y_mm,axis_z_mm,mobilised,moment_1_nmm,moment_2_nmm\n".to_owned();
+        let mut truth =
+            "k,t_s,contact,arclength_mm,axis_x_mm,axis_y_mm,axis_z_mm,mobilised,moment_1_nmm,moment_2_nmm\n"
+                .to_owned();
         for (k, r) in self.readings.iter().enumerate() {
             let [a, b] = r.fbg_nm;
             let reference = self.scene.bench.reference_nominal_nm;
-            let _ = writeln!(readings, "{k},{:.6},{reference:.6},{:.3},{a:.7},{b:.7}", r.t_s, crate::bench::REFERENCE_DEGC);
+            let _ = writeln!(
+                readings,
+                "{k},{:.6},{reference:.6},{:.3},{a:.7},{b:.7}",
+                r.t_s,
+                crate::bench::REFERENCE_DEGC
+            );
             let _ = writeln!(base, "{:.6},{:.5},{:.5},{:.5}", r.t_s, r.base_mm.x, r.base_mm.y, r.base_mm.z);
             let place = r.touch.as_ref().map_or_else(
                 || "0,,,,,".to_owned(),

@@ -1,0 +1,188 @@
+//! The zero of a record: the mean of its free readings, with what is not known of it.
+//!
+//! ```text
+//! m' = m - m_0,   m_0 = mean of m_k over the n free readings                     errors: (h - h_0) c - z,   cov z = R / n + 2 D
+//! ```
+//!
+//! h_0 is the mean of h over the free readings: what all readings of a calibration share is the less uncertain the nearer a reading is to the
+//! free wire. R: noise of a reading, D: drift of the zero within the record. A record without free readings keeps the calibration's zero,
+//! cov z = B / 4 + D: it may be off by half of the noise from pose to pose B, an assumption.
+
+use crate::reading::{Moments, Reading};
+use nalgebra::{Matrix2, Vector2};
+
+/// Share of the noise from pose to pose by which the calibration's zero may be off in another record. An assumption.
+const ZERO: f64 = 0.5;
+/// Fewer free readings are no zero, and say nothing of the noise.
+const MIN_FREE: usize = 5;
+/// A reading that is this many standard deviations of the free ones' noise off is no longer free.
+const FREE_SDS: f64 = 6.0;
+/// A zero that is this many standard deviations of what the calibration states of it off is none: the record begins in contact.
+const ZERO_SDS: f64 = 4.0;
+/// Lower quartile of chi-squared with two degrees of freedom.
+const CHI2_QUARTER: f64 = 0.575;
+/// Noise below which no moments are read: rounding of tables, N mm.
+const MIN_NOISE_NMM: f64 = 5e-4;
+
+/// The beginning of a record that is free of contact.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Beginning {
+    /// So long, s, with a noise of the readings of this covariance, (N mm)^2.
+    Free {
+        /// From the first reading to the last free one, s.
+        span_s: f64,
+        /// Readings.
+        readings: usize,
+        /// Covariance of their noise, (N mm)^2.
+        noise_nmm2: Matrix2<f64>,
+    },
+    /// The first readings stand still at a moment (N mm) that no free wire has by this calibration.
+    Loaded(f64),
+    /// Too few of the first readings agree with each other.
+    Unknown,
+}
+
+/// Takes the zero off the moments of one whisker, in order of time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Zero {
+    span_s: f64,
+    begun_s: Option<f64>,
+    sum_nmm: Vector2<f64>,
+    shared_nmm: Vec<Vector2<f64>>,
+    count: f64,
+}
+
+impl Zero {
+    /// The mean over a time, s; 0: the calibration's zero.
+    #[must_use]
+    pub fn new(span_s: f64) -> Self {
+        Self { span_s, begun_s: None, sum_nmm: Vector2::zeros(), shared_nmm: Vec::new(), count: 0.0 }
+    }
+
+    /// Moments from the zero on, with what is not known of it.
+    pub fn applied(&mut self, t_s: f64, m: Moments) -> Moments {
+        let begun_s = *self.begun_s.get_or_insert(t_s);
+        if t_s - begun_s < self.span_s {
+            self.sum_nmm += Vector2::from(m.moment_nmm);
+            self.shared_nmm.resize(m.shared_nmm.len(), Vector2::zeros());
+            self.shared_nmm.iter_mut().zip(&m.shared_nmm).for_each(|(sum, h)| *sum += Vector2::from(*h));
+            self.count += 1.0;
+        }
+        if self.count == 0.0 {
+            let zero_nmm2 = m.pose_nmm2 * ZERO * ZERO + m.drift_nmm2;
+            return Moments { zero_nmm2, ..m };
+        }
+        let moment_nmm = (Vector2::from(m.moment_nmm) - self.sum_nmm / self.count).into();
+        let less = |(h, sum): (&[f64; 2], &Vector2<f64>)| (Vector2::from(*h) - sum / self.count).into();
+        let shared_nmm: Vec<[f64; 2]> = m.shared_nmm.iter().zip(&self.shared_nmm).map(less).collect();
+        let zero_nmm2 = m.own_nmm2.unwrap_or(m.pose_nmm2) / self.count + m.drift_nmm2 * 2.0;
+        Moments { moment_nmm, shared_nmm, zero_nmm2, ..m }
+    }
+}
+
+/// What the first readings of a table are.
+#[must_use]
+pub fn beginning(readings: &[Reading]) -> Beginning {
+    let all: Vec<(f64, &Moments)> =
+        readings.iter().filter_map(|r| Some((r.t_s, r.moments.as_ref()?))).collect();
+    if all.len() < MIN_FREE {
+        return Beginning::Unknown;
+    }
+    let at = |k: usize| Vector2::from(all[k].1.moment_nmm);
+    // Second differences have no trend and six times the noise's variance; a quarter of the readings is taken to be quiet.
+    let mut bends: Vec<f64> =
+        (1..all.len() - 1).map(|k| (at(k - 1) - at(k) * 2.0 + at(k + 1)).norm_squared() / 6.0).collect();
+    bends.sort_by(f64::total_cmp);
+    let quiet = (bends[bends.len() / 4] / CHI2_QUARTER).sqrt();
+    let known = all[0].1.own_nmm2.map_or(0.0, |n| (0.5 * n.trace()).sqrt());
+    let limit = FREE_SDS * quiet.max(known).max(MIN_NOISE_NMM);
+    let middle = |c: usize| {
+        let mut first: Vec<f64> = (0..MIN_FREE).map(|k| at(k)[c]).collect();
+        first.sort_by(f64::total_cmp);
+        first[MIN_FREE / 2]
+    };
+    let middle = Vector2::new(middle(0), middle(1));
+    let free = (0..all.len()).take_while(|k| (at(*k) - middle).norm() <= limit).count();
+    if free < MIN_FREE {
+        return Beginning::Unknown;
+    }
+    let mean = (0..free).map(at).sum::<Vector2<f64>>() / free as f64;
+    let m = all[0].1;
+    let shared: f64 = m.shared_nmm.iter().map(|h| h[0] * h[0] + h[1] * h[1]).sum();
+    if mean.norm() > ZERO_SDS * (m.pose_nmm2.trace() + shared).sqrt() {
+        return Beginning::Loaded(mean.norm());
+    }
+    let spread: Matrix2<f64> = (0..free).map(|k| (at(k) - mean) * (at(k) - mean).transpose()).sum();
+    let floor = Matrix2::identity() * MIN_NOISE_NMM * MIN_NOISE_NMM;
+    let noise_nmm2 = spread / (free - 1) as f64 + floor;
+    // Half a step past the last free reading.
+    let next = all.get(free).map_or(all[free - 1].0, |n| 0.5 * (all[free - 1].0 + n.0));
+    Beginning::Free { span_s: next - all[0].0, readings: free, noise_nmm2 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::known_motion::Lost;
+    use wcal_core::stream::Flags;
+
+    fn reading(k: usize, moment_nmm: [f64; 2]) -> Reading {
+        let moments = Moments {
+            moment_nmm,
+            sd_nmm: [0.1; 2],
+            valid: true,
+            pose_nmm2: Matrix2::identity() * 0.01,
+            own_nmm2: None,
+            drift_nmm2: Matrix2::zeros(),
+            zero_nmm2: Matrix2::zeros(),
+            shared_nmm: vec![[0.05 + 0.1 * moment_nmm[0], 0.0]],
+        };
+        Reading {
+            point: k as i64,
+            t_s: 0.1 * k as f64,
+            flags: Flags::default(),
+            moments: Some(moments),
+            motion: Err(Lost::Unknown),
+            base: None,
+            base_mm_s: None,
+            velocity_mm_s: None,
+            touching: None,
+            in_prefix: false,
+            gap: false,
+        }
+    }
+
+    /// Ten free readings at a zero, then a contact.
+    fn record(zero: f64) -> Vec<Reading> {
+        let noise = |k: usize| 0.002 * (k % 3) as f64 - 0.002;
+        let load = |k: usize| 0.1 * k.saturating_sub(9) as f64;
+        (0..30).map(|k| reading(k, [zero + noise(k) + load(k), noise(k + 1)])).collect()
+    }
+
+    #[test]
+    fn the_free_beginning_is_the_zero_and_says_what_the_noise_is() {
+        let readings = record(0.2);
+        let Beginning::Free { span_s, readings: free, noise_nmm2 } = beginning(&readings) else { panic!() };
+        assert!(free == 10 && (span_s - 0.95).abs() < 1e-9, "{free} {span_s}");
+        assert!((0.001..0.003).contains(&noise_nmm2[(0, 0)].sqrt()), "{noise_nmm2}");
+        let mut zero = Zero::new(span_s);
+        let taken = |zero: &mut Zero, r: &Reading| zero.applied(r.t_s, r.moments.clone().unwrap());
+        let all: Vec<Moments> = readings.iter().map(|r| taken(&mut zero, r)).collect();
+        assert!((all[29].moment_nmm[0] - 2.0).abs() < 0.005, "{:?}", all[29].moment_nmm);
+        // What all readings share is that of the difference from the free wire.
+        assert!(
+            (all[29].shared_nmm[0][0] - 0.2).abs() < 0.001 && (all[29].zero_nmm2[(0, 0)] - 1e-3).abs() < 1e-9
+        );
+        // Control: the calibration's zero stays, with its own uncertainty.
+        let plain = taken(&mut Zero::new(0.0), &readings[29]);
+        assert!((plain.moment_nmm[0] - 2.2).abs() < 0.005 && (plain.zero_nmm2[(0, 0)] - 2.5e-3).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_record_that_begins_in_contact_has_no_free_beginning() {
+        let Beginning::Loaded(nmm) = beginning(&record(3.0)) else { panic!("{:?}", beginning(&record(3.0))) };
+        assert!((nmm - 3.0).abs() < 0.01);
+        assert_eq!(beginning(&record(0.0)[9..]), Beginning::Unknown);
+        assert_eq!(beginning(&record(0.0)[..3]), Beginning::Unknown);
+    }
+}

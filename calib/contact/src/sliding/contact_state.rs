@@ -11,6 +11,7 @@
 //! links' frames jump at the joints; within a link the frame is turned by the wire's rest curvature, which is all that it has where no moment acts.
 
 use nalgebra::{Matrix2, Rotation3, SMatrix, SVector, Vector2, Vector3};
+use std::f64::consts::{FRAC_PI_2, PI};
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_rod::{DiscreteRod, RodError, Section, Shape};
 
@@ -214,14 +215,24 @@ impl TouchedWire {
         (found[1] > 1.02 * low[1]).then_some(found)
     }
 
-    /// The light force of the free wire that gives a moment.
+    /// The light force of the free wire that gives a moment: with the moments of a force of 1 N along e2, e3 and -t (at the tip), `f (M e(phi) - z) = m`,
+    /// so that `|a + f b| = f`, `a = M^-1 m`, `b = M^-1 z`.
     fn light(&self, q: f64, moment_nmm: &Vector2<f64>) -> State {
         const LIGHT_N: f64 = 1e-6;
         let by = |phi: f64| self.show(&State::from([q, LIGHT_N, phi, 0.0, 0.0])).moment_nmm() / LIGHT_N;
-        // Moments are linear in the force's two components.
-        let j = Matrix2::from_columns(&[by(0.0), by(std::f64::consts::FRAC_PI_2)]);
-        let force = j.try_inverse().map_or_else(Vector2::zeros, |inverse| inverse * moment_nmm);
-        State::from([q, force.norm().max(1e-6), force.y.atan2(force.x), 0.0, 0.0])
+        let (here, opposite) = (by(0.0), by(PI));
+        let across =
+            Matrix2::from_columns(&[(here - opposite) / 2.0, (by(FRAC_PI_2) - by(-FRAC_PI_2)) / 2.0]);
+        let inverse = across.try_inverse().unwrap_or_else(Matrix2::zeros);
+        let (a, b) = (inverse * moment_nmm, inverse * (here + opposite) / -2.0);
+        // (1 - b^2) f^2 - 2 a.b f - a^2 = 0: the least positive root.
+        let (square, half) = (1.0 - b.norm_squared(), a.dot(&b));
+        let root = (half * half + square * a.norm_squared()).max(0.0).sqrt();
+        let roots = [(half + root) / square, (half - root) / square];
+        let f = roots.into_iter().filter(|f| *f > 0.0 && f.is_finite()).fold(f64::INFINITY, f64::min);
+        let f = if f.is_finite() { f } else { a.norm() }.max(1e-6);
+        let along = a + b * f;
+        State::from([q, f, along.y.atan2(along.x), 0.0, 0.0])
     }
 }
 

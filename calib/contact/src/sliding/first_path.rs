@@ -18,7 +18,9 @@ const NODE_MM: f64 = 2.0;
 const PARTS: usize = 4;
 const FIRST_MM: f64 = 6.0;
 /// Largest tilt at the tip, rad.
-const MAX_TILT: f64 = 1.2;
+const MAX_TILT: f64 = 1.55;
+/// Tilt at first touch that parts starts at the tip from the side and from ahead, rad.
+const AHEAD: f64 = 0.5;
 /// At first touch the wire lies no farther from its free shape than this many steps; a force that jumps by more than this share.
 const MAX_DEFLECTION: f64 = 3.0;
 const MAX_JUMP: f64 = 0.2;
@@ -37,12 +39,14 @@ fn places(length_mm: f64) -> Vec<f64> {
     (0..count).map(|k| first + NODE_MM * k as f64).collect()
 }
 
-/// The best path that begins on the wire, and the best that begins at its tip; none where some reading is explained by no contact.
+/// The best paths that begin on the wire, at its tip from the side, and at its tip from ahead; none where some reading is explained by no
+/// contact.
 pub(super) fn first_paths(chain: &Chain<'_>) -> Vec<Vec<State>> {
     let solved = candidates(chain);
-    let tip = chain.wire.length_mm - 0.5 * NODE_MM;
-    let from = |at_tip: bool| best_path(chain, &solved, |x| (x[0] > tip) == at_tip);
-    [false, true].into_iter().filter_map(from).collect()
+    let tip = chain.wire.length_mm;
+    let starts = [(0.0, tip), (tip, tip + AHEAD * TIP_MM), (tip + AHEAD * TIP_MM, f64::INFINITY)];
+    let from = |(low, high): (f64, f64)| best_path(chain, &solved, |x| x[0] > low && x[0] <= high);
+    starts.into_iter().filter_map(from).collect()
 }
 
 fn best_path(

@@ -10,7 +10,7 @@
 //! ```
 //!
 //! H is the curvature of J with the common errors c integrated out (`banded`); d < 1/2 for errors of the model that readings share. Hypotheses h:
-//! the best path that begins on the wire and the best that begins at its tip (`first_path`), each at several friction coefficients. A step says
+//! the best paths that begin on the wire, at its tip from the side and from ahead (`first_path`), each at several friction coefficients. A step says
 //! about the same at any rate: readings count as means over 0.7 mm of the motion (`blocks`).
 //!
 //! The motion has to be this object's: J has to be lower than with the motion's sign reversed, and not more than a few for each of n blocks:

@@ -19,7 +19,20 @@ pub fn object_score(table: &Path, contacts_mm: &[Vector3<f64>]) -> Result<Option
     Ok(mesh_score(contacts_mm, &Mesh::read(&object)?, pose))
 }
 
-/// The same for people.
+/// Contacts farther than this from a mesh whose place is known do not belong to it, mm, in the median.
+const MAX_MEDIAN_MM: f64 = 1.0;
+
+/// What speaks against contacts that lie off an object whose place is known; none where nothing does.
+pub fn off_object(score: Option<&MeshScore>) -> Option<String> {
+    let s = score.filter(|s| !s.placed_by_points && s.median_mm > MAX_MEDIAN_MM)?;
+    Some(format!(
+        "contacts and object do not belong together: expected a median distance of at most {MAX_MEDIAN_MM} mm, found {:.2} mm (the place or unit of the \
+         mesh, the motion or its clock, the calibration, the wire, or the object)",
+        s.median_mm
+    ))
+}
+
+/// The score for people.
 pub fn say_object_score(score: Option<&MeshScore>) {
     let Some(s) = score else { return };
     eprintln!(

@@ -1,6 +1,6 @@
 //! Tracks of a table or of a session, whatever locates the contacts.
 
-use super::object::{object_score, say_object_score};
+use super::object::{object_score, off_object, say_object_score};
 use super::surface::write_surface;
 use super::{TrackArgs, accuracy, output, refuse_surface};
 use crate::simulated::is_simulated;
@@ -265,6 +265,9 @@ pub fn track(
     }
     say_object_score(on_object.as_ref());
     found.messages.iter().for_each(|m| eprintln!("{}", m.line("")));
-    let outcome = found.outcome.and(Outcome { lost: unusable > 0, ..Outcome::default() });
+    let off_object = off_object(on_object.as_ref());
+    off_object.iter().for_each(|said| eprintln!("warning: {said}"));
+    let outcome =
+        found.outcome.and(Outcome { lost: unusable > 0, doubt: off_object.is_some(), ..Outcome::default() });
     Ok(ExitCode::from(outcome.exit_code(args.force)))
 }

@@ -6,7 +6,7 @@ use crate::known_motion::{
     Episode, Located, MomentField, MotionRow, Posterior, Region, Settings, episodes, locate,
 };
 use crate::known_motion_stream::MotionAccuracy;
-use crate::reading::{Moments, Reading};
+use crate::reading::Reading;
 use crate::session_groove::disagreement_sentence;
 use crate::sliding::SlidingContact;
 use crate::sliding_episodes::sliding_contacts;
@@ -17,8 +17,6 @@ use std::collections::BTreeMap;
 use wcal_core::WhiskerSpec;
 use wcal_core::stream::Flags;
 
-/// Share of the noise from pose to pose that the filter of sliding contacts takes for a reading's own.
-const WHITE: f64 = 0.2;
 /// Noise from pose to pose is one draw for poses nearer than this, mm: rows of a dense record are not that many poses. An assumption.
 const SAME_POSE_MM: f64 = 1.0;
 
@@ -44,8 +42,8 @@ pub struct KnownMotionTable {
     field: MomentField,
     whisker: WhiskerSpec,
     accuracy: MotionAccuracy,
-    /// Whether the table is of a sweep over an object: there a contact slides by its nature; elsewhere a wrong motion or calibration is as
-    /// likely.
+    /// Whether the table is of a sweep over an object: there a contact slides by its nature and is no doubt; elsewhere a wrong motion or
+    /// calibration is as likely.
     over_object: bool,
     /// Readings whose motion is known, the piece of the motion that each is in, and its number among all.
     rows: Vec<MotionRow>,
@@ -55,7 +53,6 @@ pub struct KnownMotionTable {
     lost: BTreeMap<&'static str, u64>,
     /// Which readings have no motion.
     without: Vec<usize>,
-    noise_nmm2: f64,
     /// By row: variances of the misfit that readings share, where their own noise is known, (N mm)^2.
     misfit_nmm2: Vec<Option<[f64; 2]>>,
     contacts: Vec<TableContact>,
@@ -81,7 +78,6 @@ impl KnownMotionTable {
             readings: 0,
             lost: BTreeMap::new(),
             without: Vec::new(),
-            noise_nmm2: 0.0,
             misfit_nmm2: Vec::new(),
             contacts: Vec::new(),
         }
@@ -120,8 +116,7 @@ impl KnownMotionTable {
         };
         let found = ranges.par_iter().map(one).collect::<Result<Vec<Located>, ContactError>>()?;
         let with_range: Vec<([usize; 2], &Located)> = ranges.iter().copied().zip(&found).collect();
-        let noise_nmm = (self.noise_nmm2 / self.readings.max(1) as f64).sqrt();
-        let sliding = sliding_contacts(&self.whisker, noise_nmm, &self.rows, &with_range)?;
+        let sliding = sliding_contacts(&self.whisker, &self.rows, &with_range)?;
         let contact = |((range, found), sliding): (([usize; 2], Located), Option<SlidingContact>)| {
             let span_s = [self.rows[range[0]].t_s, self.rows[range[1] - 1].t_s];
             TableContact { range, span_s, found, sliding }
@@ -136,7 +131,7 @@ impl KnownMotionTable {
         let [from, to] = contact.range;
         let at = |k: usize| {
             let (place, regions, flags): (_, &[Region], _) = match contact.slides() {
-                Some(s) if self.over_object => (&s.places[k], &s.regions[k], Flags::SLIDING_ASSUMED),
+                Some(s) if self.over_object => (&s.places[k], &s.regions[k], Flags::default()),
                 Some(s) => {
                     (&s.places[k], &s.regions[k], Flags::SLIDING_ASSUMED.with(Flags::MOTION_DISAGREES))
                 }
@@ -165,7 +160,8 @@ impl KnownMotionTable {
             ));
         }
         let numbered = || self.contacts.iter().enumerate();
-        all.extend(numbered().filter_map(|(n, c)| Some((n, c.slides()?))).map(|(n, s)| {
+        let assumed = numbered().filter(|_| !self.over_object);
+        all.extend(assumed.filter_map(|(n, c)| Some((n, c.slides()?))).map(|(n, s)| {
             format!(
                 "contact {n}: no fixed point of the object explains the moments, a contact that slides does (log likelihood ratio {:.0} to the \
                  reversed motion), as it does where motion or calibration are wrong; marked sliding-assumed in status",
@@ -196,7 +192,6 @@ impl Estimator for KnownMotionTable {
             *self.lost.entry(why.name()).or_default() += 1;
             self.without.push(number);
         }
-        self.noise_nmm2 += reading.moments.as_ref().map_or(0.0, filter_noise_nmm2);
         let (Some(m), Ok(motion)) = (&reading.moments, &reading.motion) else { return Ok(Vec::new()) };
         let columns = |nmm2: &Matrix2<f64>| -> Vec<[f64; 2]> {
             let root = nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l());
@@ -249,7 +244,9 @@ impl Estimator for KnownMotionTable {
             lost_rows: Some(self.lost.clone()),
             ..EstimatorDocument::default()
         };
-        let doubt = self.contacts.iter().any(|c| c.slides().is_some() || c.found.disagreement.is_some());
+        // A sweep over an object slides by its nature.
+        let explained = |c: &TableContact| self.over_object && c.slides().is_some();
+        let doubt = self.contacts.iter().any(|c| c.found.disagreement.is_some() && !explained(c));
         let lost = !self.lost.is_empty();
         Findings { document, messages: self.messages(), lost, doubt, ..Findings::default() }
     }
@@ -258,11 +255,6 @@ impl Estimator for KnownMotionTable {
 /// What of the noise from pose to pose is no noise of a reading, (N mm)^2.
 fn misfit(pose_nmm2: &Matrix2<f64>, own_nmm2: &Matrix2<f64>) -> [f64; 2] {
     [0, 1].map(|c| (pose_nmm2[(c, c)] - own_nmm2[(c, c)]).max(0.0))
-}
-
-/// The variance that the filter of sliding contacts is given, of which it takes a share for a reading's own noise, (N mm)^2.
-fn filter_noise_nmm2(m: &Moments) -> f64 {
-    0.5 * m.own_nmm2.map_or(m.pose_nmm2.trace(), |own| own.trace() / (WHITE * WHITE))
 }
 
 /// Rows around one that are of its pose.

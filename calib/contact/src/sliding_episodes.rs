@@ -1,19 +1,17 @@
-//! Contacts that slide over an object: tracked by the filter where no fixed point of the object explains the moments.
+//! Contacts that slide over an object: where no fixed point of the object explains the moments.
 
 use crate::ContactError;
 use crate::known_motion::{Disagreement, Located, MotionRow};
-use crate::sliding::{SlidingContact, locate_sliding};
+use crate::sliding::{SlidingContact, TouchedWire, locate_sliding};
 use wcal_core::WhiskerSpec;
-use wcal_track::{InverseGrid, StaticInverse};
+use wcal_core::observation::MomentAxes;
 
-/// By episode the contact as one that slides, where no fixed point explains the moments; its motion may not support it. `noise_nmm`:
-/// standard deviation of the moments from pose to pose, N mm.
+/// By episode the contact as one that slides, where no fixed point explains the moments; its motion may not support it.
 ///
 /// # Errors
 /// Where the wire cannot be bent.
 pub fn sliding_contacts(
     whisker: &WhiskerSpec,
-    noise_nmm: f64,
     known: &[MotionRow],
     episodes: &[([usize; 2], &Located)],
 ) -> Result<Vec<Option<SlidingContact>>, ContactError> {
@@ -21,10 +19,19 @@ pub fn sliding_contacts(
     if !episodes.iter().any(|(_, found)| unexplained(found)) {
         return Ok(vec![None; episodes.len()]);
     }
-    let inverse = StaticInverse::new(whisker, InverseGrid { refine: 2, ..InverseGrid::default() })?;
+    let wire = TouchedWire::new(whisker, &MomentAxes::default())?;
+    // A few readings past the end show whether the load was lost at once.
     let one = |([from, to], found): &([usize; 2], &Located)| {
-        let slides = |all: &[MotionRow]| locate_sliding(&inverse, all, noise_nmm, whisker.diameter_mm / 2.0);
-        unexplained(found).then(|| slides(&known[*from..*to]))
+        let past = (*to + PAST).min(known.len());
+        unexplained(found).then(|| {
+            let mut all = locate_sliding(&wire, &known[*from..past]);
+            all.places.truncate(to - from);
+            all.regions.truncate(to - from);
+            all
+        })
     };
     Ok(episodes.iter().map(one).collect())
 }
+
+/// Readings past the end of an episode.
+const PAST: usize = 2;

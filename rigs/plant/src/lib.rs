@@ -19,6 +19,7 @@ pub mod scalar;
 pub mod session;
 pub mod shapes;
 pub mod simulate;
+pub mod sweep;
 pub mod table;
 
 pub use case::{Case, Make, Request, Truth, Want};

@@ -91,6 +91,8 @@ pub struct Wire {
     pub arc_radius_mm: f64,
     /// Whole length in mm.
     pub length_mm: f64,
+    /// Diameter in mm.
+    pub diameter_mm: f64,
     /// Bending stiffness at the root in N mm^2.
     pub ei_nmm2: f64,
     /// Torsion stiffness at the root in N mm^2.
@@ -176,6 +178,7 @@ impl Wire {
             straight_mm,
             arc_radius_mm,
             length_mm,
+            diameter_mm,
             ei_nmm2: youngs_gpa * 1e3 * quartic / 64.0,
             gj_nmm2: shear_gpa * 1e3 * quartic / 32.0,
             taper: Taper::None,
@@ -183,6 +186,11 @@ impl Wire {
             root_compliance: [0.0; 2],
             elements: [9, 7],
         }
+    }
+
+    /// Radius of its cross-section in mm.
+    pub fn radius_mm(&self) -> f64 {
+        self.diameter_mm / 2.0
     }
 
     /// Shape at rest: position and tangent at arc length `s_mm`.
@@ -194,7 +202,7 @@ impl Wire {
     }
 
     /// Marches from the root to arc length `sigma_mm` under force `force` at `point`; returns position and tangent.
-    fn march(&self, point: &V3, force: &V3, sigma_mm: f64, refine: usize) -> (V3, V3) {
+    pub(crate) fn march(&self, point: &V3, force: &V3, sigma_mm: f64, refine: usize) -> (V3, V3) {
         let base = point.cross(force);
         let root = V3::new(0.0, self.root_compliance[0] * base.y, self.root_compliance[1] * base.z);
         let mut frame = helix(&root).0;

@@ -24,6 +24,8 @@ pub struct PointLoad {
     pub force_n: Vector3<f64>,
     /// Direction of the wire there, toward the tip.
     pub tangent: Vector3<f64>,
+    /// Frame of the link that is loaded; its first column is `tangent`.
+    pub frame: Matrix3<f64>,
     /// Moment at the root, N mm.
     pub moment_nmm: Vector3<f64>,
 }
@@ -50,6 +52,7 @@ impl DiscreteRod {
             axis_mm: base * (touched - node),
             force_n: base * force_n,
             tangent: base.column(0).into(),
+            frame: base,
             moment_nmm: base * moment,
         }
     }

@@ -1,0 +1,303 @@
+//! What ties the states of a sliding contact together: residuals of moments, motion and friction, each in its standard deviation.
+//!
+//! Reading k has the state x_k (`contact_state`); seen from the object it shows the point P_k, the normal n_k, the wire's direction t_k. The
+//! calibration's errors c_j ~ N(0, 1) are common to all readings; the friction coefficient mu is a hypothesis.
+//!
+//! ```text
+//! moments     R_k^-1/2 (m_k - m(x_k) - H_k c)                        R_k: noise of a reading and error of the wire's model
+//! surface     (P_k - P_(k-1)) . (n_k + n_(k-1)) / 2  ~ 0             exact for an arc; a change of curvature kappa within h errs by kappa h^2 / 16
+//! friction    (a, c)_k + mu w / sqrt(|w|^2 + e^2) ~ 0                w = dP - t ds in the directions along and across: slip of the wire's matter
+//! slip rate   (q_(k+1) - q_k) / dt_k - (q_k - q_(k-1)) / dt_(k-1) ~ 0     heavy tails: sticking, edges
+//! press       min(f, 0) = 0
+//! touch       |P_1 - free wire at q_1| ~ 0                          within a step of the motion and what the noise hides
+//! end         L - q_last ~ 0 where the load is lost at once: the wire has slipped off at its tip
+//! ```
+//!
+//! What is seen of s: with m known, `surface` is in the limit of small steps
+//! `A ds/dt + (dP/dm . n) dm/dt + v . n = 0`, `A = dP/ds|_m . n`, which vanishes with the load: while the load rises an error of s falls as |m|^-4 (a
+//! straight cantilever), while it falls it grows. So each end of a contact is found from its middle and from how fast the load grows there.
+
+use super::banded::Normal;
+use super::contact_state::{Rates, STATE, Shown, State, TouchedWire};
+use crate::known_motion::MotionRow;
+use nalgebra::{DVector, Matrix2, Vector2, Vector3};
+
+/// Relative error of the wire's model, and of the links, N mm.
+const MODEL_SHARE: f64 = 0.002;
+const MODEL_NMM: f64 = 3e-4;
+/// Error of a step along the surface: constant (mm), and for each radian and millimetre by which it turns and goes on.
+const SURFACE_MM: f64 = 0.004;
+const SURFACE_TURN: f64 = 0.08;
+/// How far a contact leaps along the surface: steps of the motion, and mm.
+const LEAP_STEPS: f64 = 3.0;
+const LEAP_MM: f64 = 0.5;
+/// Slip between two readings at which friction has 0.7 of its size, mm; standard deviation of friction beside its law.
+const STICK_MM: f64 = 0.02;
+const FRICTION_SD: f64 = 0.02;
+/// Changes of the slip rate from reading to reading, as a share of the motion's step, and constant, mm.
+const SLIP_SHARE: f64 = 0.15;
+const SLIP_MM: f64 = 0.02;
+/// Standard deviation of a force that draws, N.
+const PULL_N: f64 = 1e-3;
+/// How far from its tip the wire is when it slips off, in steps and mm.
+const OFF_STEPS: f64 = 1.0;
+const OFF_MM: f64 = 0.3;
+
+/// Step of the differences of residuals.
+const H: f64 = 1e-6;
+
+/// Kinds of residuals.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Kind {
+    Moments,
+    Surface,
+    Friction,
+    SlipRate,
+    Press,
+    End,
+    Touch,
+}
+
+pub(super) const KINDS: [Kind; 7] =
+    [Kind::Moments, Kind::Surface, Kind::Friction, Kind::SlipRate, Kind::Press, Kind::End, Kind::Touch];
+
+/// A reading's state with what it shows on the object.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Local {
+    pub x: State,
+    pub y: Shown,
+}
+
+/// Residuals of a contact's readings.
+pub(super) struct Chain<'a> {
+    pub wire: &'a TouchedWire,
+    pub rows: &'a [MotionRow],
+    /// Inverse square roots of the moments' covariances.
+    whiten: Vec<Matrix2<f64>>,
+    /// Way of the object from the reading before, mm.
+    pub step_mm: Vec<f64>,
+    /// Whether the load is lost at once after the last reading.
+    pub slips_off: bool,
+    /// Common unknowns of the moments.
+    pub shared: usize,
+    /// Friction coefficient.
+    pub friction: f64,
+    /// Whether friction follows the slip, or is that of a contact that slides toward the tip.
+    pub by_slip: bool,
+    /// Whether changes of the contact's course have heavy tails.
+    pub heavy: bool,
+}
+
+impl<'a> Chain<'a> {
+    pub fn new(wire: &'a TouchedWire, rows: &'a [MotionRow], slips_off: bool) -> Self {
+        let whiten = rows
+            .iter()
+            .map(|r| {
+                let size = r.moment_nmm[0].hypot(r.moment_nmm[1]);
+                let model = (MODEL_SHARE * size).powi(2) + MODEL_NMM * MODEL_NMM;
+                let covariance = r.noise_nmm2 + Matrix2::identity() * model;
+                covariance.cholesky().and_then(|c| c.l().try_inverse()).unwrap_or_else(Matrix2::zeros)
+            })
+            .collect();
+        let step = |k: usize| match k {
+            0 => 0.0,
+            k => (rows[k].moved_mm - rows[k - 1].moved_mm).norm(),
+        };
+        let shared = rows.first().map_or(0, |r| r.shared_nmm.len());
+        Self {
+            wire,
+            rows,
+            whiten,
+            step_mm: (0..rows.len()).map(step).collect(),
+            slips_off,
+            shared,
+            friction: 0.0,
+            heavy: true,
+            by_slip: false,
+        }
+    }
+
+    /// The common unknowns before any reading.
+    pub fn prior(&self) -> DVector<f64> {
+        DVector::zeros(self.shared)
+    }
+
+    /// The readings that a residual of reading k ties together; none where there is no such residual.
+    fn readings(&self, kind: Kind, k: usize) -> Option<std::ops::RangeInclusive<usize>> {
+        let last = self.rows.len() - 1;
+        match kind {
+            Kind::Moments | Kind::Press => Some(k..=k),
+            Kind::Friction => Some(k.saturating_sub(1)..=k),
+            Kind::Surface => (k > 0).then(|| k - 1..=k),
+            Kind::SlipRate => (k > 1).then(|| k - 2..=k),
+            Kind::End => (k == last && k > 0 && self.slips_off).then(|| k - 1..=k),
+            Kind::Touch => (k == 0).then(|| k..=k),
+        }
+    }
+
+    /// Degrees of freedom of Student's distribution of a residual; none: normal.
+    fn tails(&self, kind: Kind) -> Option<f64> {
+        match kind {
+            _ if !self.heavy => None,
+            Kind::Surface => Some(4.0),
+            Kind::SlipRate => Some(2.0),
+            Kind::End => Some(4.0),
+            _ => None,
+        }
+    }
+
+    fn numbers(kind: Kind) -> usize {
+        if matches!(kind, Kind::Moments | Kind::Surface | Kind::Friction) { 2 } else { 1 }
+    }
+
+    /// Residuals of reading k; `all` are the readings that it ties together.
+    fn residual(&self, kind: Kind, k: usize, all: &[Local], c: &DVector<f64>) -> Vector2<f64> {
+        let here = &all[all.len() - 1];
+        let single = |v: f64| Vector2::new(v, 0.0);
+        match kind {
+            Kind::Moments => {
+                let row = &self.rows[k];
+                let shared: Vector2<f64> =
+                    row.shared_nmm.iter().zip(c.iter()).map(|(h, c)| Vector2::from(*h) * *c).sum();
+                self.whiten[k] * (Vector2::from(row.moment_nmm) - shared - here.y.moment_nmm())
+            }
+            Kind::Surface => {
+                let before = &all[0];
+                let step = here.y.point_mm() - before.y.point_mm();
+                let turned = (here.y.normal() - before.y.normal()).norm();
+                let off = step.dot(&(here.y.normal() + before.y.normal())) * 0.5;
+                let moved_sd = self.rows[k].moved_sd_mm.hypot(self.rows[k - 1].moved_sd_mm);
+                let way = step.norm();
+                let sd = SURFACE_MM
+                    .hypot(SURFACE_TURN * turned.min(0.5) * way.min(3.0 * self.step_mm[k]))
+                    .hypot(moved_sd);
+                let leap = way - LEAP_STEPS * self.step_mm[k] - LEAP_MM;
+                Vector2::new(off / sd, leap.max(0.0) / LEAP_MM)
+            }
+            Kind::Friction => {
+                let acting = Vector2::new(here.x[3], here.x[4]);
+                let pull = match all {
+                    [before, here] if self.by_slip => self.friction_of(before, here),
+                    _ => Vector2::new(self.friction, 0.0),
+                };
+                (acting - pull) / if all.len() == 1 { 0.1 } else { FRICTION_SD }
+            }
+            Kind::SlipRate => {
+                let dt = |n: usize| (self.rows[n].t_s - self.rows[n - 1].t_s).max(1e-9);
+                let [a, b] = [all[1].x[0] - all[0].x[0], all[2].x[0] - all[1].x[0]];
+                let sd = SLIP_SHARE * self.step_mm[k] + SLIP_MM;
+                single((b - a * dt(k) / dt(k - 1)) / sd)
+            }
+            Kind::Touch => single(self.deflection(k, &here.x, &here.y)),
+            Kind::Press => single(here.x[1].min(0.0) / PULL_N),
+            Kind::End => {
+                let short = (self.wire.length_mm - here.x[0]).max(0.0);
+                let step = (here.x[0] - all[0].x[0]).abs().max(self.step_mm[k]);
+                single(short / (OFF_STEPS * step + OFF_MM))
+            }
+        }
+    }
+
+    /// By how much a light force changes in a step of the motion and by noise, N.
+    pub fn jump_n(&self, k: usize) -> f64 {
+        let row = &self.rows[k];
+        let noise = (row.noise_nmm2.trace() / 2.0).sqrt();
+        let s = 0.3 * self.wire.length_mm;
+        3.0 * self.wire.ei_nmm2 / s.powi(3) * self.step_mm[k] + 8.0 * noise / s
+    }
+
+    /// How far the contact lies from the free wire, over how far it may lie there at first touch or at the end: a step of the motion, and what
+    /// the noise hides.
+    pub fn deflection(&self, k: usize, x: &State, y: &Shown) -> f64 {
+        let mut light = *x;
+        light[1] = 0.0;
+        let row = &self.rows[k];
+        let free = self.wire.show(&light).on_object(&row.turn, &row.moved_mm);
+        let hidden = 4.0 * (row.noise_nmm2.trace() / 2.0).sqrt() * y.arclength_mm().powi(2)
+            / (3.0 * self.wire.ei_nmm2);
+        let step = self.step_mm.get(k.max(1)).copied().unwrap_or(0.0);
+        (y.point_mm() - free.point_mm()).norm() / (step + hidden)
+    }
+
+    /// Friction along and across by the slip between two readings.
+    fn friction_of(&self, before: &Local, here: &Local) -> Vector2<f64> {
+        let along_wire = here.y.tangent() * (here.y.arclength_mm() - before.y.arclength_mm());
+        let w = here.y.point_mm() - before.y.point_mm() - along_wire;
+        let w = Vector2::new(w.dot(&here.y.along()), w.dot(&here.y.across()));
+        -w * (self.friction / w.norm().hypot(STICK_MM))
+    }
+
+    /// What all states show on the object.
+    pub(super) fn locals(&self, x: &[State]) -> Vec<Local> {
+        x.iter()
+            .zip(self.rows)
+            .map(|(x, r)| Local { x: *x, y: self.wire.show(x).on_object(&r.turn, &r.moved_mm) })
+            .collect()
+    }
+
+    /// Sum of squares of the residuals of a kind, heavy tails included.
+    fn sum(&self, kind: Kind, all: &[Local], c: &DVector<f64>) -> f64 {
+        let one = |k: usize| {
+            let r2 = self.residual(kind, k, &all[self.readings(kind, k)?], c).norm_squared();
+            Some(self.tails(kind).map_or(r2, |nu| (nu + 1.0) * (r2 / nu).ln_1p()))
+        };
+        (0..all.len()).filter_map(one).sum()
+    }
+
+    /// Sum of squares of everything.
+    pub fn cost(&self, x: &[State], c: &DVector<f64>) -> f64 {
+        let all = self.locals(x);
+        c.norm_squared() + KINDS.iter().map(|kind| self.sum(*kind, &all, c)).sum::<f64>()
+    }
+
+    /// What a state shows on the object, with its derivative.
+    fn rates(&self, x: &State, row: &MotionRow) -> (Local, Rates) {
+        let (y, mut rates) = self.wire.rates(x);
+        for k in 0..STATE {
+            // Differences turn with the object, but do not move with it.
+            let seen = Shown(rates.column(k).into_owned()).on_object(&row.turn, &Vector3::zeros());
+            rates.set_column(k, &seen.0);
+        }
+        (Local { x: *x, y: y.on_object(&row.turn, &row.moved_mm) }, rates)
+    }
+
+    /// The linearised problem; residuals with heavy tails by their weights.
+    pub fn linearise(&self, x: &[State], c: &DVector<f64>) -> Normal {
+        let shown: Vec<(Local, Rates)> = x.iter().zip(self.rows).map(|(x, r)| self.rates(x, r)).collect();
+        let locals: Vec<Local> = shown.iter().map(|s| s.0).collect();
+        let mut normal = Normal::new(STATE * x.len(), self.shared, 3 * STATE);
+        for kind in KINDS {
+            for k in 0..x.len() {
+                let Some(range) = self.readings(kind, k) else { continue };
+                let all = &locals[range.clone()];
+                let r = self.residual(kind, k, all, c);
+                let weight = self.tails(kind).map_or(1.0, |nu| (nu + 1.0) / (nu + r.norm_squared()));
+                let (mut j, mut common) = (Vec::new(), Vec::new());
+                for (n, reading) in range.enumerate() {
+                    for a in 0..STATE {
+                        let mut other = all.to_vec();
+                        other[n].x[a] += H;
+                        other[n].y.0 += shown[reading].1.column(a) * H;
+                        j.push((STATE * reading + a, (self.residual(kind, k, &other, c) - r) / H));
+                    }
+                }
+                if matches!(kind, Kind::Moments) {
+                    for n in 0..self.shared {
+                        let mut other = c.clone();
+                        other[n] += H;
+                        common.push((n, (self.residual(kind, k, all, &other) - r) / H));
+                    }
+                }
+                for i in 0..Self::numbers(kind) {
+                    let of =
+                        |v: &[(usize, Vector2<f64>)]| v.iter().map(|(n, d)| (*n, d[i])).collect::<Vec<_>>();
+                    normal.add(weight, r[i], &of(&j), &of(&common));
+                }
+            }
+        }
+        for n in 0..self.shared {
+            normal.add(1.0, c[n], &[], &[(n, 1.0)]);
+        }
+        normal
+    }
+}

@@ -1,0 +1,227 @@
+//! A contact that slides over a rigid object whose motion is known in three dimensions; any direction, turns, holds and reversals.
+//!
+//! The object stands still in its own frame, so the contacts of all readings lie on one surface: from reading to reading the point goes on
+//! within the tangent plane. With the wire's statics for every reading (`contact_state`: place along the wire, force, its azimuth, friction
+//! along and across) all states theta are found at once from first touch to release (`factors`, `smooth`):
+//!
+//! ```text
+//! J(theta, c | h) = sum of squares of: moments, surface, friction, slip rate, first touch, slipping off          (factors)
+//! p(theta | m)    = sum_h P(h | m) N(theta_h, H_h^-1),   P(h | m) ~ exp(-d J_h)                                   h: first path, friction
+//! ```
+//!
+//! H is the curvature of J with the common errors c integrated out (`banded`); d < 1/2 for errors of the model that readings share. Hypotheses h:
+//! the best paths that begin on the wire, at its tip from the side and from ahead (`first_path`), each at several friction coefficients. A step says
+//! about the same at any rate: readings count as means over 0.7 mm of the motion (`blocks`).
+//!
+//! The motion has to be this object's: J has to be lower than with the motion's sign reversed, and not more than a few for each of n blocks:
+//!
+//! ```text
+//! E = -J / 2 > E_reversed,     J <= 3 n
+//! ```
+//!
+//! What this cannot tell: a surface of which nothing is known takes up most errors of gain, and a clock that is wrong in a steady motion; only an
+//! object that is known shows them.
+//!
+//! Answers are places of the wire's axis: the point of the object and the wire's radius along its normal.
+
+mod banded;
+mod blocks;
+mod contact_state;
+mod factors;
+mod first_path;
+mod smooth;
+
+pub use contact_state::TouchedWire;
+
+use crate::arc::arclength_regions;
+use crate::known_motion::contact_path::loaded;
+use crate::known_motion::{MotionRow, Place, Region};
+use blocks::blocks;
+use factors::Chain;
+use nalgebra::{Matrix3, Vector2, Vector3};
+use rayon::prelude::*;
+use smooth::{BlockPosterior, posterior, smooth};
+use wcal_track::inverse::Node;
+
+/// Friction coefficients of the hypotheses.
+const FRICTIONS: [f64; 4] = [0.0, 0.1, 0.2, 0.3];
+/// Weight of a hypothesis by its sum of squares: 1/2 for independent residuals.
+const DISCOUNT: f64 = 0.15;
+/// Standard deviations added for what the model leaves out: along the wire, and in space, mm.
+const MODEL_SD_MM: f64 = 0.1;
+/// Largest sum of squares for each block.
+const MAX_COST: f64 = 3.0;
+/// Fewer blocks support nothing.
+const MIN_BLOCKS: usize = 8;
+/// A load that would last for more than so many readings as it falls is lost at once.
+const LOST_AT_ONCE: f64 = 3.0;
+/// Spacing of the regions' nodes along the wire, mm.
+const NODE_MM: f64 = 0.1;
+
+/// Where a sliding contact is at each reading.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SlidingContact {
+    /// Places, one a reading.
+    pub places: Vec<Place>,
+    /// 95 % regions along the wire, one list a reading.
+    pub regions: Vec<Vec<Region>>,
+    /// Log likelihood of the best hypothesis, up to a constant.
+    pub evidence: f64,
+    /// The same of the motion with its sign reversed.
+    pub reversed_evidence: f64,
+    /// Blocks of readings that the motion was held against.
+    pub predicted: usize,
+}
+
+impl SlidingContact {
+    /// Whether the motion is the object's.
+    #[must_use]
+    pub fn supported(&self) -> bool {
+        self.predicted >= MIN_BLOCKS
+            && self.evidence > self.reversed_evidence
+            && -2.0 * self.evidence <= MAX_COST * self.predicted as f64
+    }
+
+    fn nothing(readings: usize) -> Self {
+        Self {
+            places: vec![free(); readings],
+            regions: vec![Vec::new(); readings],
+            evidence: f64::NEG_INFINITY,
+            reversed_evidence: f64::NEG_INFINITY,
+            predicted: 0,
+        }
+    }
+}
+
+fn free() -> Place {
+    Place { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, gross: false }
+}
+
+/// A hypothesis with its weight and its posterior.
+struct Hypothesis {
+    cost: f64,
+    blocks: Vec<BlockPosterior>,
+}
+
+/// Tracks a contact over the readings of one episode.
+#[must_use]
+pub fn locate_sliding(wire: &TouchedWire, rows: &[MotionRow]) -> SlidingContact {
+    let Some([first, last]) = touching(rows) else { return SlidingContact::nothing(rows.len()) };
+    let held = &rows[first..=last];
+    let slips_off = last + 1 < rows.len() && lost_at_once(held);
+    let (means, at) = blocks(held);
+    if means.len() < 3 {
+        return SlidingContact::nothing(rows.len());
+    }
+    let (found, control) = rayon::join(
+        || hypotheses(wire, &means, slips_off, &FRICTIONS),
+        || hypotheses(wire, &reversed(&means), slips_off, &FRICTIONS[..1]),
+    );
+    let least = |all: &[Hypothesis]| all.iter().map(|h| h.cost).fold(f64::INFINITY, f64::min);
+    let cost = least(&found);
+    if !cost.is_finite() {
+        return SlidingContact::nothing(rows.len());
+    }
+    let weights: Vec<f64> = found.iter().map(|h| (-DISCOUNT * (h.cost - cost)).exp()).collect();
+    let mut all = SlidingContact {
+        evidence: -0.5 * cost,
+        reversed_evidence: -0.5 * least(&control),
+        predicted: means.len(),
+        ..SlidingContact::nothing(rows.len())
+    };
+    for (k, (row, (block, share))) in held.iter().zip(at).enumerate() {
+        let each: Vec<(f64, BlockPosterior)> =
+            found.iter().zip(&weights).map(|(h, w)| (*w, between(&h.blocks, block, share))).collect();
+        all.places[first + k] = place(&each, row);
+        all.regions[first + k] = regions(&each, wire.length_mm);
+    }
+    all
+}
+
+/// First and last of the readings that are loaded, each with a neighbour that is, too.
+fn touching(rows: &[MotionRow]) -> Option<[usize; 2]> {
+    let first = (1..rows.len()).find(|k| loaded(&rows[*k]) && loaded(&rows[k - 1]))? - 1;
+    let last = (1..rows.len()).rev().find(|k| loaded(&rows[*k]) && loaded(&rows[k - 1]))?;
+    Some([first, last])
+}
+
+/// Whether the load at the last reading is more than its fall would have left in a few readings: then the wire slipped off at its tip.
+fn lost_at_once(rows: &[MotionRow]) -> bool {
+    let size = |k: usize| Vector2::from(rows[k].moment_nmm).norm();
+    let last = rows.len() - 1;
+    let noise = rows[last].noise_nmm2.trace().sqrt();
+    last > 0 && size(last) > LOST_AT_ONCE * ((size(last) - size(last - 1)).abs() + noise)
+}
+
+fn reversed(rows: &[MotionRow]) -> Vec<MotionRow> {
+    let mut rows = rows.to_vec();
+    for row in &mut rows {
+        (row.moved_mm, row.turn) = (-row.moved_mm, row.turn.inverse());
+    }
+    rows
+}
+
+/// All paths under all friction coefficients; those that explain the readings and have a curvature.
+fn hypotheses(wire: &TouchedWire, rows: &[MotionRow], slips_off: bool, frictions: &[f64]) -> Vec<Hypothesis> {
+    let chain = Chain::new(wire, rows, slips_off);
+    let firsts = first_path::first_paths(&chain);
+    let all: Vec<_> = firsts.iter().flat_map(|path| frictions.iter().map(move |mu| (path, *mu))).collect();
+    let one = |(path, mu): &(&Vec<_>, f64)| {
+        let mut chain = Chain::new(wire, rows, slips_off);
+        let found = smooth(&mut chain, (*path).clone(), *mu);
+        Some(Hypothesis { cost: found.cost, blocks: posterior(&chain, &found)? })
+    };
+    all.par_iter().filter_map(one).collect()
+}
+
+/// A share of the way from a block to the next.
+fn between(blocks: &[BlockPosterior], k: usize, share: f64) -> BlockPosterior {
+    let (a, b) = (&blocks[k], &blocks[(k + 1).min(blocks.len() - 1)]);
+    let of = |a: f64, b: f64| a + (b - a) * share;
+    BlockPosterior {
+        axis_mm: a.axis_mm.lerp(&b.axis_mm, share),
+        covariance_mm2: a.covariance_mm2 * (1.0 - share) + b.covariance_mm2 * share,
+        arclength_mm: of(a.arclength_mm, b.arclength_mm),
+        sd_mm: of(a.sd_mm, b.sd_mm),
+    }
+}
+
+/// Mean and covariance over the hypotheses, base frame.
+fn place(each: &[(f64, BlockPosterior)], row: &MotionRow) -> Place {
+    let total: f64 = each.iter().map(|e| e.0).sum();
+    let mean: Vector3<f64> = each.iter().map(|(w, b)| b.axis_mm * (w / total)).sum();
+    let mut covariance = Matrix3::identity() * MODEL_SD_MM * MODEL_SD_MM;
+    for (w, b) in each {
+        let off = b.axis_mm - mean;
+        covariance += (b.covariance_mm2 + off * off.transpose()) * (w / total);
+    }
+    let turn = row.turn.matrix();
+    Place {
+        place_mm: Some(row.turn * mean + row.moved_mm),
+        covariance_mm2: turn * covariance * turn.transpose(),
+        contact: 1.0,
+        gross: false,
+    }
+}
+
+/// 95 % regions of the mixture of normal distributions along the wire; what lies past the tip is at the tip.
+fn regions(each: &[(f64, BlockPosterior)], length_mm: f64) -> Vec<Region> {
+    let count = (length_mm / NODE_MM) as usize;
+    let at = |k: usize| length_mm - NODE_MM * (count - k) as f64;
+    let nodes: Vec<Node> = (0..=count).map(|k| Node { arclength_mm: at(k), tilt: 0.0 }).collect();
+    let mut weights = vec![0.0_f64; nodes.len()];
+    for (w, b) in each {
+        let sd = b.sd_mm.hypot(MODEL_SD_MM);
+        let below =
+            |s: f64| 0.5 * statrs::function::erf::erfc((b.arclength_mm - s) / sd / std::f64::consts::SQRT_2);
+        let mut last = 0.0;
+        for (k, weight) in weights.iter_mut().enumerate() {
+            let next = if k == count { 1.0 } else { below(at(k) + 0.5 * NODE_MM) };
+            *weight += w * (next - last);
+            last = next;
+        }
+    }
+    let total: f64 = weights.iter().sum();
+    let weights: Vec<f32> = weights.iter().map(|w| (w / total) as f32).collect();
+    arclength_regions(&nodes, &weights)
+}

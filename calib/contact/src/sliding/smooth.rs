@@ -1,0 +1,97 @@
+//! Least squares over the states of all readings, from a first path: Levenberg and Marquardt, first with normal residuals, then with heavy tails.
+
+use super::contact_state::{STATE, State};
+use super::factors::Chain;
+use nalgebra::{DVector, Matrix3, SMatrix, Vector3};
+
+/// Iterations of a descent, and the improvement at which it ends.
+const MAX_STEPS: usize = 15;
+const SMALL: f64 = 3e-3;
+/// Damping: first, least, most.
+const DAMPING: [f64; 3] = [1e-3, 1e-9, 1e6];
+
+/// A smoothed contact.
+#[derive(Debug, Clone)]
+pub(super) struct Smoothed {
+    pub x: Vec<State>,
+    common: DVector<f64>,
+    /// Sum of the squares.
+    pub cost: f64,
+}
+
+/// What a smoothed contact says of one block of readings.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct BlockPosterior {
+    /// Axis of the wire at the contact on the object, mm, and its covariance, mm^2.
+    pub axis_mm: Vector3<f64>,
+    pub covariance_mm2: Matrix3<f64>,
+    /// Arc length and its standard deviation, mm.
+    pub arclength_mm: f64,
+    pub sd_mm: f64,
+}
+
+/// From a first path, under a friction coefficient.
+pub(super) fn smooth(chain: &mut Chain<'_>, first: Vec<State>, friction: f64) -> Smoothed {
+    chain.friction = friction;
+    let mut found = Smoothed { x: first, common: chain.prior(), cost: f64::INFINITY };
+    for (by_slip, heavy) in [(false, false), (false, true), (true, true)] {
+        (chain.by_slip, chain.heavy) = (by_slip, heavy);
+        found = descend(chain, found);
+    }
+    found
+}
+
+fn descend(chain: &Chain<'_>, from: Smoothed) -> Smoothed {
+    let cost = chain.cost(&from.x, &from.common);
+    let mut here = Smoothed { cost, ..from };
+    let [mut damping, least, most] = DAMPING;
+    for _ in 0..MAX_STEPS {
+        let normal = chain.linearise(&here.x, &here.common);
+        let better = loop {
+            if let Some(factored) = normal.factor(damping) {
+                let (dx, dc) = normal.step(&factored);
+                let moved = |(k, x): (usize, &State)| x + dx.fixed_rows::<STATE>(STATE * k);
+                let x: Vec<State> = here.x.iter().enumerate().map(moved).collect();
+                let common = &here.common + dc;
+                let cost = chain.cost(&x, &common);
+                if cost < here.cost {
+                    damping = (0.1 * damping).max(least);
+                    break Some(Smoothed { x, common, cost });
+                }
+            }
+            damping *= 10.0;
+            if damping > most {
+                break None;
+            }
+        };
+        let Some(better) = better else { break };
+        let gain = here.cost - better.cost;
+        here = better;
+        if gain < SMALL * (1.0 + 1e-3 * here.cost) {
+            break;
+        }
+    }
+    here
+}
+
+/// The posterior at each block, by the curvature of the sum of squares; none where it has none.
+pub(super) fn posterior(chain: &Chain<'_>, found: &Smoothed) -> Option<Vec<BlockPosterior>> {
+    let factored = chain.linearise(&found.x, &found.common).factor(0.0)?;
+    let of = |(k, x): (usize, &State)| {
+        let (y, rates) = chain.wire.rates(x);
+        let own = factored.covariance(STATE * k, STATE);
+        let own = SMatrix::<f64, STATE, STATE>::from_fn(|i, j| own[(i, j)]);
+        let axis_mm = chain.wire.axis_mm(&y);
+        let radius_mm = (axis_mm - y.point_mm()).norm();
+        let by_state = rates.fixed_rows::<3>(2) + rates.fixed_rows::<3>(5) * radius_mm;
+        let back = chain.rows[k].turn.inverse();
+        let turn = back.matrix();
+        BlockPosterior {
+            axis_mm: back * (axis_mm - chain.rows[k].moved_mm),
+            covariance_mm2: turn * by_state * own * by_state.transpose() * turn.transpose(),
+            arclength_mm: y.arclength_mm(),
+            sd_mm: own[(0, 0)].max(0.0).sqrt(),
+        }
+    };
+    Some(found.x.iter().enumerate().map(of).collect())
+}

@@ -131,7 +131,10 @@ impl KnownMotionTable {
         let [from, to] = contact.range;
         let at = |k: usize| {
             let (place, regions, flags): (_, &[Region], _) = match contact.slides() {
-                Some(s) if self.over_object => (&s.places[k], &s.regions[k], Flags::default()),
+                Some(s) if self.over_object => {
+                    let flags = if s.sure() { Flags::default() } else { Flags::SLIDING_ASSUMED };
+                    (&s.places[k], &s.regions[k], flags)
+                }
                 Some(s) => {
                     (&s.places[k], &s.regions[k], Flags::SLIDING_ASSUMED.with(Flags::MOTION_DISAGREES))
                 }
@@ -166,6 +169,13 @@ impl KnownMotionTable {
                 "contact {n}: no fixed point of the object explains the moments, a contact that slides does (log likelihood ratio {:.0} to the \
                  reversed motion), as it does where motion or calibration are wrong; marked sliding-assumed in status",
                 s.evidence - s.reversed_evidence
+            )
+        }));
+        let unsure = numbered().filter(|(_, c)| self.over_object && c.slides().is_some_and(|s| !s.sure()));
+        all.extend(unsure.map(|(n, _)| {
+            format!(
+                "contact {n}: the fit of a sliding contact leaves more than noise, or the motion turns back: the contact may be lost, and its \
+                 regions are wide; marked sliding-assumed in status"
             )
         }));
         let fixed = numbered().filter(|(_, c)| c.slides().is_none());
@@ -245,7 +255,7 @@ impl Estimator for KnownMotionTable {
             ..EstimatorDocument::default()
         };
         // A sweep over an object slides by its nature.
-        let explained = |c: &TableContact| self.over_object && c.slides().is_some();
+        let explained = |c: &TableContact| self.over_object && c.slides().is_some_and(SlidingContact::sure);
         let doubt = self.contacts.iter().any(|c| c.found.disagreement.is_some() && !explained(c));
         let lost = !self.lost.is_empty();
         Findings { document, messages: self.messages(), lost, doubt, ..Findings::default() }

@@ -9,8 +9,8 @@ use wcal_contact::sliding::{SlidingContact, TouchedWire, locate_sliding};
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
 use wcal_plant::sweep::SweepCase;
 
-/// Sweeps that the model was not made on: those were 0 to 15 and 100 to 111.
-const SEEDS: std::ops::Range<u64> = 200..208;
+/// Sweeps that the model was not made on: those were 0 to 15, 100 to 111 and, for what is sure, 200 to 209.
+const SEEDS: std::ops::Range<u64> = 300..308;
 /// Free readings that the zero is the mean of, and standard deviation of what it drifts, N mm; error of the map, relative.
 const ZERO_READINGS: usize = 5;
 const DRIFT_NMM: f64 = 0.003;
@@ -98,32 +98,25 @@ fn sweeps_of_foreign_wires_are_followed_and_their_regions_hold() {
     };
     let found: Vec<_> = SEEDS.into_par_iter().map(one).collect();
     println!("SIMULATED; error of the wire's axis in space, mm");
-    let (mut all, mut beside) = (Vec::new(), Vec::new());
-    let mut supported = 0;
-    for (seed, rows, shifted, contact) in &found {
-        supported += usize::from(contact.supported());
-        println!(
-            "{seed}: {} J / n {:.2}",
-            said(rows),
-            -2.0 * contact.evidence / contact.predicted.max(1) as f64
-        );
-        all.extend(rows.iter().copied());
-        beside.extend(shifted.iter().copied());
+    for (seed, rows, _, contact) in &found {
+        let cost = -2.0 * contact.evidence / contact.predicted.max(1) as f64;
+        let sure = if contact.sure() { "sure" } else { "not sure" };
+        println!("{seed}: {} J / n {cost:.2}, {sure}", said(rows));
     }
-    println!("all: {}; {supported} of {} supported", said(&all), found.len());
-    // A part of a contact in another equilibrium is lost: one sweep in ten or so; the others are followed.
-    let is_lost = |rows: &[(f64, bool, bool)]| rows.iter().filter(|r| r.0 > LOST_MM).count() * 4 > rows.len();
-    let lost = found.iter().filter(|f| is_lost(&f.1)).count();
-    let followed: Vec<_> = found.iter().filter(|f| !is_lost(&f.1)).flat_map(|f| f.1.clone()).collect();
-    println!("{lost} of {} lost; the others: {}", found.len(), said(&followed));
-    let [median, _, held, inside] = summary(&all);
-    assert!(lost <= 2 && summary(&followed)[1] < 0.7, "{lost} {:?}", summary(&followed));
-    assert!(all.len() > 300 && median < 0.5, "{median}");
+    let of = |sure: bool, shifted: bool| -> Vec<(f64, bool, bool)> {
+        let those = found.iter().filter(|f| f.3.sure() == sure);
+        those.flat_map(|f| if shifted { f.2.clone() } else { f.1.clone() }).collect()
+    };
+    let (followed, others) = (of(true, false), of(false, false));
+    let sure = found.iter().filter(|f| f.3.sure()).count();
+    println!("{sure} of {} sure: {}; the others: {}", found.len(), said(&followed), said(&others));
+    assert!(sure * 4 >= found.len() * 3, "{sure}");
+    let [median, rms, held, inside] = summary(&followed);
+    assert!(followed.len() > 300 && median < 0.4 && rms < 0.7, "{median} {rms}");
     // Readings of a sweep share their errors: a dozen sweeps determine the coverage to some per cent.
-    assert!((0.85..=1.0).contains(&held) && inside > 0.8, "{held} {inside}");
-    assert!(supported * 10 >= found.len() * 9, "{supported}");
+    assert!((0.9..=1.0).contains(&held) && inside > 0.85, "{held} {inside}");
     // Control: places beside the truth are mostly not held.
-    let [.., beside_held, _] = summary(&beside);
+    let [.., beside_held, _] = summary(&of(true, true));
     assert!(beside_held < 0.4, "{beside_held}");
 }
 
@@ -135,7 +128,7 @@ fn a_wrong_motion_is_worse_than_the_true_one() {
         let [right, backward] = [of(1.0, 1.0), of(1.0, -1.0)];
         (right.evidence > backward.evidence, right.supported(), backward.supported())
     };
-    let all: Vec<_> = (200..204).into_par_iter().map(one).collect();
+    let all: Vec<_> = (300..304).into_par_iter().map(one).collect();
     println!("{all:?}");
     assert!(all.iter().filter(|a| a.0 && a.1).count() >= 3 && all.iter().all(|a| !(a.1 && a.2)));
 }

@@ -110,7 +110,17 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(e) => e.exit(),
     };
-    let result = match &cli.command {
+    let result = dispatch(&cli.command);
+    let unwritten = printing::failed().map(anyhow::Error::msg);
+    unwritten.map_or(result, Err).unwrap_or_else(|error| {
+        eprintln!("wcal: {}", with_causes(&error));
+        ExitCode::from(1)
+    })
+}
+
+/// Runs a command.
+fn dispatch(asked: &Command) -> anyhow::Result<ExitCode> {
+    match asked {
         Command::Verify(args) => verify::run(args),
         Command::FitGpr(args) => fit_gpr::run(args),
         Command::Predict(args) => predict::run(args),
@@ -139,16 +149,19 @@ fn main() -> ExitCode {
             print!("{}", String::from_utf8_lossy(&script));
             Ok(ExitCode::SUCCESS)
         }
-    };
-    let unwritten = printing::failed().map(anyhow::Error::msg);
-    unwritten.map_or(result, Err).unwrap_or_else(|error| {
-        eprintln!("wcal: {}", told(&error));
-        ExitCode::from(1)
-    })
+    }
+}
+
+/// Runs a command line within the program.
+///
+/// # Errors
+/// Those of the command.
+pub fn run_words(words: &[&str]) -> anyhow::Result<ExitCode> {
+    dispatch(&Cli::try_parse_from(words)?.command)
 }
 
 /// An error and its causes, each once: some say their cause themselves.
-fn told(error: &anyhow::Error) -> String {
+fn with_causes(error: &anyhow::Error) -> String {
     error.chain().map(ToString::to_string).fold(String::new(), |text, cause| match text.as_str() {
         "" => cause,
         said if said.ends_with(&cause) => text,

@@ -241,9 +241,12 @@ fn place(each: &[(f64, BlockPosterior)], row: &MotionRow, lost_mm2: f64) -> Plac
     }
 }
 
-/// 95 % regions of the mixture of normal distributions along the wire; what lies past the tip is at the tip. With
-/// probability `lost` anywhere on it.
+/// 95 % regions of the mixture of normal distributions along the wire; what lies past the tip is at the tip. The
+/// whole wire where the contact may be lost: then the part of which nothing is known is more than the 5 % outside.
 fn regions(each: &[(f64, BlockPosterior)], length_mm: f64, lost: f64) -> Vec<Region> {
+    if lost > 0.0 {
+        return vec![Region { from_mm: 0.0, to_mm: length_mm, probability: 1.0 }];
+    }
     let count = (length_mm / NODE_MM) as usize;
     let at = |k: usize| length_mm - NODE_MM * (count - k) as f64;
     let nodes: Vec<Node> = (0..=count).map(|k| Node { arclength_mm: at(k), tilt: 0.0 }).collect();
@@ -260,7 +263,6 @@ fn regions(each: &[(f64, BlockPosterior)], length_mm: f64, lost: f64) -> Vec<Reg
         }
     }
     let total: f64 = weights.iter().sum();
-    let anywhere = lost / weights.len() as f64;
-    let weights: Vec<f32> = weights.iter().map(|w| ((1.0 - lost) * w / total + anywhere) as f32).collect();
+    let weights: Vec<f32> = weights.iter().map(|w| (w / total) as f32).collect();
     arclength_regions(&nodes, &weights)
 }

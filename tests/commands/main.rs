@@ -23,6 +23,7 @@ mod strokes;
 #[allow(dead_code, reason = "each target uses a part")]
 mod support;
 mod sweep_import;
+mod sweep_witness;
 mod track;
 mod train;
 mod twin;

@@ -1,0 +1,101 @@
+//! The measured sweep of the paper's whisker over a bottle judges the explanations of its 27 measured poses.
+
+use crate::support::{fixture, text, wcal};
+use serde_json::Value;
+
+fn path(name: &str) -> String {
+    fixture(name).display().to_string()
+}
+
+/// verify.json beside a sweep, with the exit code.
+fn judged(sweep: &str) -> (i32, Value) {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out").display().to_string();
+    let run = wcal(&["verify", &path("whiskerfbg"), "--sweep", sweep, "--out", &out, "--json"]);
+    let document = serde_json::from_slice(&run.stdout);
+    (run.status.code().unwrap(), document.unwrap_or_else(|e| unreachable!("{e}: {}", text(&run.stderr))))
+}
+
+/// Every explanation by a dead zone is refuted, the declared model is not, and nothing with a dead zone stays named.
+#[test]
+fn the_sweep_refutes_the_dead_zone() {
+    let (code, v) = judged(&path("whiskerfbg_bottle"));
+    let judged = v["sweep"]["explanations"].as_array().unwrap();
+    let has = |e: &Value, id: &str| e["effects"].as_array().unwrap().iter().any(|i| i == id);
+    let by_dead_zone: Vec<&Value> = judged.iter().filter(|e| has(e, "dead-zone")).collect();
+    assert!(by_dead_zone.len() >= 2 && by_dead_zone.iter().all(|e| e["refuted"] == true), "{judged:#?}");
+    let declared = judged.iter().find(|e| e["effects"].as_array().unwrap().is_empty()).unwrap();
+    assert!(
+        declared["refuted"] == false && declared["distance_median_mm"].as_f64().unwrap() < 0.1,
+        "{declared}"
+    );
+    assert!(v["sweep"]["after"]["distance_rmse_mm"].as_f64().unwrap() < 0.5, "{}", v["sweep"]);
+    assert!((code, v["verdict"].as_str()) == (4, Some("unknown-effect")), "{code} {}", v["verdict"]);
+    assert!(v["effects"].as_array().unwrap().iter().all(|e| e["id"] != "dead-zone"), "{}", v["effects"]);
+    // The error before and after is stated for what stands: 24 pm before.
+    let after = v["after"]["wavelength_rmse_pm"].as_f64().unwrap();
+    assert!((10.0..18.0).contains(&after), "{after}");
+}
+
+/// Control: a bottle that stands elsewhere refutes what the true place does not.
+#[test]
+fn a_bottle_elsewhere_refutes_the_declared_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = folder.path().join("sweep").display().to_string();
+    let at = |name: &str| path(&format!("whiskerfbg_bottle/{name}"));
+    let (readings, motion, object) = (at("readings.csv"), at("base.csv"), at("object.stl"));
+    let import = |pose: &str, out: &str| {
+        let place = ["--object", &object, "--object-pose", pose, "--out", out];
+        wcal(&[&["import", &readings, "--kind", "sweep", "--motion", &motion][..], &place].concat())
+    };
+    let run = import("111.76475,18.7875,-22.46,1,0,0,0", &sweep);
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    assert!(
+        text(&run.stderr).contains("columns not imported: released_moment_1_nmm"),
+        "{}",
+        text(&run.stderr)
+    );
+    let (_, v) = judged(&sweep);
+    let declared = v["sweep"]["explanations"].as_array().unwrap()[0].clone();
+    assert!(declared["refuted"] == true, "{declared}");
+    // The true place gives the fixture's table.
+    let again = folder.path().join("again").display().to_string();
+    assert!(import("111.76475,10.7875,-22.46,1,0,0,0", &again).status.success());
+    let read = |folder: &str| std::fs::read_to_string(format!("{folder}/points.csv")).unwrap();
+    assert_eq!(read(&again), read(&path("whiskerfbg_bottle")));
+}
+
+/// What is no sweep, a place that is none, and a sweep that begins at the object are refused by name.
+#[test]
+fn what_cannot_judge_is_refused() {
+    let refused = |arguments: &[&str], expected: &str| {
+        let run = wcal(arguments);
+        let said = text(&run.stderr);
+        assert!(run.status.code() == Some(1) && said.contains(expected), "{arguments:?}: {said}");
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).display().to_string();
+    let (session, out) = (path("whiskerfbg"), at("out"));
+    refused(&["verify", &session, "--sweep", &session, "--out", &out], "expected a session of kind sweep");
+    refused(
+        &["verify", &path("nist/pontius"), "--sweep", &path("whiskerfbg_bottle"), "--out", &out],
+        "expected a session of kind whisker",
+    );
+    let (readings, motion, object) = (
+        path("whiskerfbg_bottle/readings.csv"),
+        path("whiskerfbg_bottle/base.csv"),
+        path("whiskerfbg_bottle/object.stl"),
+    );
+    let import = ["import", &readings, "--kind", "sweep", "--motion", &motion, "--object", &object];
+    let none = at("none");
+    refused(
+        &[&import[..], &["--object-pose", "1,2,3,0,0,0,0", "--out", &none]].concat(),
+        "--object-pose: expected x,y,z (mm) and a unit quaternion",
+    );
+    assert!(!std::path::Path::new(&none).exists());
+    // At the object from the first reading on.
+    let near = at("near");
+    let run = wcal(&[&import[..], &["--object-pose", "95,10.7875,-22.46,1,0,0,0", "--out", &near]].concat());
+    assert!(run.status.success(), "{}", text(&run.stderr));
+    refused(&["verify", &session, "--sweep", &near, "--out", &out], "the sweep has no zero of its own");
+}

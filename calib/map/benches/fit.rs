@@ -13,6 +13,7 @@ use std::time::Instant;
 use wcal_map::{FitOptions, MapKind, fit_map};
 
 #[path = "../tests/map/support.rs"]
+#[allow(dead_code, reason = "the tests use the rest")]
 mod support;
 
 /// The candidates that scikit-learn fits in tests/peers/map_peers.py.

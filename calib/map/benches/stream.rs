@@ -16,6 +16,7 @@ use std::time::Instant;
 use wcal_map::{FitOptions, MapKind, MapPredictor, fit_map};
 
 #[path = "../tests/map/support.rs"]
+#[allow(dead_code, reason = "the tests use the rest")]
 mod support;
 
 fn stream(c: &mut Criterion) {

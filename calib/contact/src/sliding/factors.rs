@@ -131,7 +131,7 @@ impl<'a> Chain<'a> {
             Kind::Surface => (k > 0).then(|| k - 1..=k),
             Kind::SlipRate => (k > 1).then(|| k - 2..=k),
             Kind::End => (k == last && k > 0 && self.slips_off).then(|| k - 1..=k),
-            Kind::Touch => (k == 0).then(|| k..=k),
+            Kind::Touch => (k == 0).then_some(k..=k),
         }
     }
 

@@ -88,7 +88,7 @@ fn a_name_that_rests_on_one_level_is_none() {
     // One load reads 8 noises too high: the last (a knee), or the one at zero (a dead zone).
     let moved = |seed: u64| {
         let mut rng = Noise::new(seed);
-        let wrong = if seed % 2 == 0 { 11.0 } else { 0.0 };
+        let wrong = if seed.is_multiple_of(2) { 11.0 } else { 0.0 };
         let shift = |x: f64| if x == wrong { 0.08 } else { 0.0 };
         run(&table(&loads, false, &[], |_, x| 0.2 * x + shift(x) + 0.01 * rng.next()), seed)
     };

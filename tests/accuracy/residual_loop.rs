@@ -208,7 +208,16 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
         .map(|d| d.split('"').next().map_or(0, |d| d.matches('M').count()))
         .sum();
     assert_eq!(rings, 12, "rings");
-    assert!(whisker.contains("best explanation, not accepted") && !whisker.contains("after: accepted"));
+    // The sweep over the bottle refutes what the 27 poses alone leave open; nothing is accepted in its place.
+    assert!(
+        whisker.contains("dead-zone with hysteresis") && whisker.contains("<td>refuted</td>"),
+        "the sweep's table"
+    );
+    assert!(whisker.contains("declared model, nothing added") && !whisker.contains("after: accepted"));
+    let tracked = read("bottle/track.csv");
+    assert!(
+        tracked.lines().count() == 98 && tracked.lines().next().is_some_and(|l| l.contains("world_x_mm"))
+    );
     assert!(!whisker.contains("No map was fitted"));
     let null = read("practice-004/report.html");
     assert!(!null.contains("No fault was found") && null.contains("no labels of an outside twin"));

@@ -168,6 +168,10 @@ pub trait Effect: Send + Sync {
     fn acts_severally(&self) -> bool {
         false
     }
+    /// Ratio of their shapes from which on two of its terms are two things; nearer ones are one that is not steady.
+    fn least_ratio(&self) -> f64 {
+        1.0
+    }
     /// The further column that a law follows, of those of the session.
     fn column<'a>(&self, _law: usize, _columns: &'a [String]) -> Option<&'a str> {
         None
@@ -226,6 +230,7 @@ impl EffectTerm {
             Role::Shape { grid } => {
                 let (a, b) = (self.values[k], other.values[k]);
                 (a - b).abs() > RESOLVED * grid_gap(grid, a).min(grid_gap(grid, b))
+                    && a.max(b) >= catalogue[self.effect].least_ratio() * a.min(b)
             }
             Role::Amplitude { .. } => false,
         };

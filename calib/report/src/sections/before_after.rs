@@ -4,7 +4,7 @@ use crate::input::{IndexEntry, ReportInput};
 use crate::markup::{Table, TableCell};
 use crate::number::{NOT_AVAILABLE, join_unit, number, percent, with_interval};
 use crate::plot::{Axis, Mark, RowChart, RowItem};
-use wcal_core::verify_document::{GrooveTracking, HeldOutError, NoiseFloor, VerifyDocument};
+use wcal_core::verify_document::{GrooveTracking, HeldOutError, NoiseFloor, SweepJudgement, VerifyDocument};
 
 /// One column: an error and the floor that it is held against.
 struct Quantity {
@@ -160,6 +160,9 @@ pub(super) fn body(input: &ReportInput) -> String {
     if let Some(tracked) = &input.verify.groove_tracking {
         out += &groove(tracked);
     }
+    if let Some(judged) = &input.verify.sweep {
+        out += &sweep(judged);
+    }
     let charts: String = quantities.iter().filter_map(|q| chart(q, &models)).collect();
     if !charts.is_empty() {
         out += &super::figure(
@@ -204,6 +207,28 @@ fn table(input: &ReportInput, models: &[Model<'_>], quantities: &[Quantity]) -> 
     let floor = |q: &Quantity| q.floor.map_or("unknown".into(), number);
     cells.extend(quantities.iter().map(|q| TableCell::Number(floor(q))));
     table.marked_row("floor", cells);
+    table.html()
+}
+
+/// How near the contacts that each explanation allows come to the object of a sweep.
+fn sweep(judged: &SweepJudgement) -> String {
+    let mut table = Table::new(
+        &format!(
+            "The sweep {} judges: distance of the nearest possible contact from the object",
+            judged.session
+        ),
+        &["explanation", "#median (mm)", "#rms (mm)", "#p", "verdict"],
+    );
+    for e in &judged.explanations {
+        let name = if e.effects.is_empty() { "declared model".into() } else { e.effects.join(" with ") };
+        table.row(vec![
+            TableCell::Text(name),
+            TableCell::Number(format!("{:.2}", e.distance.distance_median_mm)),
+            TableCell::Number(format!("{:.2}", e.distance.distance_rmse_mm)),
+            TableCell::Number(format!("{:.1e}", e.p_value)),
+            TableCell::Text(if e.refuted { "refuted" } else { "stands" }.into()),
+        ]);
+    }
     table.html()
 }
 

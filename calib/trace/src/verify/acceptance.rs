@@ -2,7 +2,7 @@
 //! used and applied, and a held-out error that is neither above the one before nor far above the floor.
 //!
 //! ```text
-//! after <= before,     after^2 / floor^2 <= max(4, F_{0.999}(n, dof))          n held-out values, dof of the floor's replicates
+//! after <= before,     after^2 / floor^2 <= max(4, F_{0.999}(n, dof))          n independent held-out values, dof of the floor's replicates
 //! ```
 
 use super::conclusion::Conclusion;
@@ -87,8 +87,10 @@ pub fn fault<M: SessionModel>(
         return Some(Fault::Worse([before, after]));
     }
     let above = floor.floor.source == "replicates" && floor.sd > 0.0 && {
-        let values = (points * model.measured().ncols()).max(1) as f64;
-        let ratio = after / (floor.sd * errors.noise_ratio.max(1.0));
+        let readings = errors.shared.map_or(points as f64, |s| s.independent.min(points as f64));
+        let widening = errors.shared.map_or(1.0, |s| s.widening);
+        let values = (readings * model.measured().ncols() as f64).max(1.0);
+        let ratio = after / (floor.sd * errors.noise_ratio.max(1.0) * widening);
         let chance = FisherSnedecor::new(values, model.floor_dof(accepted).unwrap_or(FLOOR_DOF).max(1.0))
             .map_or(1.0, |f| f.sf(ratio * ratio));
         ratio > FAR_ABOVE && chance < ABOVE_LEVEL

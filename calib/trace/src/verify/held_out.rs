@@ -23,6 +23,8 @@ pub struct Errors {
     pub trimmed: Option<[Option<HeldOutError>; 2]>,
     /// Noise of the readings that count over that of a typical reading, root mean square.
     pub noise_ratio: f64,
+    /// What the unsealed readings share; none where none was unsealed.
+    pub shared: Option<SharedNoise>,
     /// Share of values inside their stated intervals.
     pub coverage95: Option<f64>,
     /// Further models by name.
@@ -31,6 +33,15 @@ pub struct Errors {
     pub remark: String,
     /// How readings were left out, where they were.
     pub words: String,
+}
+
+/// What unsealed readings share by the noise, at the upper ends of its parts' intervals.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SharedNoise {
+    /// Independent readings that they are worth, `(tr C)^2 / tr C^2` (Satterthwaite).
+    pub independent: f64,
+    /// Standard deviation of a reading over that of the estimates.
+    pub widening: f64,
 }
 
 impl Errors {
@@ -162,6 +173,7 @@ pub fn left_out_in_turn<M: SessionModel>(
         coverage95: coverage95(&after),
         further,
         trimmed: None,
+        shared: None,
         noise_ratio: noise_ratio(model, &unsealed.noise, &counted),
         words: folds.words.clone(),
         remark: format!(

@@ -3,7 +3,7 @@
 use super::acceptance::{Fault, claims, fault, readable};
 use super::conclusion::{Conclusion, conclude};
 use super::document::document;
-use super::held_out::{Errors, Unsealed, completed, left_out_in_turn, on_unsealed, scored};
+use super::held_out::{Errors, SharedNoise, Unsealed, completed, left_out_in_turn, on_unsealed, scored};
 use super::holdout_check::{HOLDOUT_LEVEL, flagged, holdout_p};
 use super::options::VerifyOptions;
 use super::refutation::refuted;
@@ -171,12 +171,30 @@ impl<M: SessionModel> Stage<'_, M> {
         };
         let in_turn = || left_out_in_turn(model, found, conclusion, &unsealed, self.on_request, self.seed);
         let errors = if whole.scored().contains(&true) {
-            completed(model, on_unsealed(whole, &unsealed, self.seed), in_turn)
+            let errors = completed(model, on_unsealed(whole, &unsealed, self.seed), in_turn);
+            Errors { shared: Some(shared_noise(whole, &unsealed)), ..errors }
         } else {
             in_turn()
         };
         let floor = model.floor(&conclusion.accepted, noise, found.left().is_some());
         Ok((unsealed, errors, floor))
+    }
+}
+
+/// Readings of which the covariance is taken at most: it is dense.
+const MAX_DENSE: usize = 500;
+
+/// What the unsealed readings share by the noise: those that share it say less than they are.
+fn shared_noise<M: SessionModel>(whole: &M, unsealed: &Unsealed<M::Predictions>) -> SharedNoise {
+    let counts = |i: &usize| whole.scored()[*i] && !unsealed.left_out.contains(i);
+    let rows: Vec<usize> = (0..whole.scored().len()).filter(counts).collect();
+    let step = rows.len().div_ceil(MAX_DENSE).max(1);
+    let rows: Vec<usize> = rows.into_iter().step_by(step).collect();
+    let covariance = |upper: bool| unsealed.noise.weights_of(&whole.noise_inputs(), upper).covariance(&rows);
+    let (c, estimated) = (covariance(true), covariance(false));
+    SharedNoise {
+        independent: c.trace().powi(2) / c.norm_squared(),
+        widening: (c.trace() / estimated.trace()).max(1.0).sqrt(),
     }
 }
 

@@ -41,6 +41,9 @@ impl Effect for Periodic {
     fn acts_severally(&self) -> bool {
         true
     }
+    fn least_ratio(&self) -> f64 {
+        1.5
+    }
     fn sentence(&self) -> &'static str {
         "The residual repeats with a fixed period."
     }

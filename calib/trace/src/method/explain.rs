@@ -164,9 +164,13 @@ fn alike(a: &Weights, b: &Weights) -> bool {
 /// Takes back what does not earn its name on readings that are left out, and calls what is then left by its size.
 fn within_model_error(system: &dyn MeasurementModel, found: &mut SearchResult, options: &Options) {
     let (best, within) = earned(system, &found.best);
+    let mut small = found.last_test.is_small(&found.best.fit);
     if !within.is_empty() {
+        // Where nothing was left beside it, what is left is what was taken back.
+        let nothing_beside = small || !found.last_test.generic();
         found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
         found.last_test.leave_out(&best.fit, &within);
+        small = nothing_beside || found.last_test.is_small(&best.fit);
         let lacks = |h: &Hypothesis| h.fit.terms.iter().all(|t| !within.contains(&t.effect));
         found.survivors = vec![best.clone()];
         found.refitted.retain(lacks);
@@ -174,7 +178,7 @@ fn within_model_error(system: &dyn MeasurementModel, found: &mut SearchResult, o
         found.best = best;
         found.within_model_error = within;
     }
-    found.last_test.within_model_error = found.last_test.is_small(&found.best.fit);
+    found.last_test.within_model_error = small;
 }
 
 /// Runs the search under the noise that the readings themselves show.

@@ -223,6 +223,37 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
     assert!(!null.contains("No fault was found") && null.contains("no labels of an outside twin"));
 }
 
+/// Readings at rest of another zero (8 and -4 pm) are named with their size; as recorded, nothing is.
+#[test]
+fn another_zero_at_rest_is_named_and_nothing_without_it() {
+    let (code, v) = verify(&fixture("practice/case-004"));
+    assert_eq!((code, v["verdict"].as_str()), (0, Some("adequate")), "{}", v["reason"]);
+    let folder = tempfile::tempdir().expect("temporary folder");
+    copy_folder(&fixture("practice/case-004"), folder.path());
+    let points = std::fs::read_to_string(folder.path().join("points.csv")).expect("points");
+    let columns: Vec<&str> = points.lines().next().expect("header").split(',').collect();
+    let moved = |line: &str| {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        if cells[1] == "rest" {
+            for (name, by_nm) in [("fbg_1_nm", 0.008), ("fbg_2_nm", -0.004)] {
+                let at = columns.iter().position(|c| *c == name).expect(name);
+                cells[at] = format!("{:.7}", cells[at].parse::<f64>().expect(name) + by_nm);
+            }
+        }
+        cells.join(",") + "\n"
+    };
+    std::fs::write(folder.path().join("points.csv"), points.lines().map(moved).collect::<String>())
+        .expect("written");
+    let (code, v) = verify(folder.path());
+    assert_eq!((code, v["verdict"].as_str()), (0, Some("effect")), "{}", v["reason"]);
+    assert_eq!(v["effects"].as_array().map(|e| e.len()), Some(1), "{}", v["effects"]);
+    assert_eq!(v["effects"][0]["id"], "rest-zero");
+    for (k, true_pm) in [8.0, -4.0].into_iter().enumerate() {
+        let value = v["effects"][0]["parameters"][k]["value"].as_f64().expect("value");
+        assert!((value - true_pm).abs() < 0.25, "{value} for {true_pm}");
+    }
+}
+
 #[test]
 fn undeclared_friction_is_named_and_a_copied_holdout_refused() {
     let (code, v) = verify(&fixture("practice/case-008"));

@@ -37,6 +37,25 @@ fn the_sweep_refutes_the_dead_zone() {
     assert!((10.0..18.0).contains(&after), "{after}");
 }
 
+/// What the sweep refutes is not accepted on request either: no calibration is written.
+#[test]
+fn a_refuted_explanation_is_not_accepted_on_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out").display().to_string();
+    let (session, sweep) = (path("whiskerfbg"), path("whiskerfbg_bottle"));
+    let accept = ["verify", &session, "--accept", "dead-zone,contact-offset", "--out", &out];
+    let run = wcal(&[&accept[..], &["--sweep", &sweep]].concat());
+    assert!(
+        run.status.code() == Some(4) && text(&run.stdout).contains("refutes the accepted model"),
+        "{}",
+        text(&run.stdout)
+    );
+    assert!(!folder.path().join("out/calibration.json").exists());
+    // Control: without the sweep it is.
+    assert_eq!(wcal(&[&accept[..], &["--force"]].concat()).status.code(), Some(4));
+    assert!(folder.path().join("out/calibration.json").exists());
+}
+
 /// Control: a bottle that stands elsewhere refutes what the true place does not.
 #[test]
 fn a_bottle_elsewhere_refutes_the_declared_model() {

@@ -20,18 +20,20 @@ fn read(name: &str) -> String {
 /// A row: what, on which data, before, after, verdict.
 type Row = [String; 5];
 
-/// `wcal verify` on a session: its document.
-fn verified(session: &Path) -> Value {
+/// `wcal verify` on a session, beside a sweep where there is one: its document.
+fn verified(session: &Path, sweep: Option<&Path>) -> Value {
     let out = tempfile::tempdir().unwrap();
     let place = out.path().join("out");
-    let run = program().arg("verify").arg(session).arg("--out").arg(&place).output();
-    let said = String::from_utf8_lossy(&run.unwrap().stderr).into_owned();
+    let mut command = program();
+    command.arg("verify").arg(session).arg("--out").arg(&place);
+    sweep.map(|sweep| command.arg("--sweep").arg(sweep));
+    let said = String::from_utf8_lossy(&command.output().unwrap().stderr).into_owned();
     let document = fs::read(place.join("verify.json"));
     serde_json::from_slice(&document.unwrap_or_else(|e| unreachable!("{e}: {said}"))).unwrap()
 }
 
 fn fixture(name: &str) -> Value {
-    verified(&repository("fixtures").join(name))
+    verified(&repository("fixtures").join(name), None)
 }
 
 /// Held-out error of the answer on one side.
@@ -103,6 +105,10 @@ fn declared_by_our_rod(document: &Value) -> f64 {
 
 fn whisker() -> Row {
     let v = fixture("whiskerfbg");
+    let [session, sweep] = ["fixtures/whiskerfbg", "fixtures/whiskerfbg_bottle"].map(repository);
+    let swept = verified(&session, Some(&sweep));
+    let explanations = swept["sweep"]["explanations"].as_array().unwrap();
+    let refuted = explanations.iter().filter(|e| e["refuted"] == true).count();
     let faults = v["twin"]["faults"].as_array().unwrap();
     let branch = faults.iter().find(|f| f["kind"] == "branch").unwrap();
     let faulty = branch["points"].as_array().unwrap().len();
@@ -114,8 +120,12 @@ fn whisker() -> Row {
             rmse(&v, "before"),
             declared_by_our_rod(&v)
         ),
-        format!("{:.1} pm", rmse(&v, "after")),
-        verdict(&v),
+        format!(
+            "{:.1} pm by the best of them; {:.1} pm by what its measured sweep over a bottle leaves",
+            rmse(&v, "after"),
+            rmse(&swept, "after")
+        ),
+        format!("{}; the sweep refutes {refuted} of them, {} is left", verdict(&v), verdict(&swept)),
     ]
 }
 

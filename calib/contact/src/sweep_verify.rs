@@ -43,7 +43,7 @@ pub fn verify_with_sweep(
         for h in &open {
             here.push((effects(&done, h), judge(h)?));
         }
-        let after = here.first().map_or_else(|| before.clone(), |h| h.1.clone());
+        let after = witness.judge(&done.model, &data.whisker)?;
         for (names, verdict) in std::iter::once((Vec::new(), before.clone())).chain(here.iter().cloned()) {
             if !judged.iter().any(|j| j.effects == names) {
                 judged.push(explanation(names, &verdict));
@@ -54,10 +54,11 @@ pub fn verify_with_sweep(
             options.refuted.extend(more);
             continue;
         }
-        say(&mut done, witness, &options.refuted, &judged, &after);
+        let on_request = !options.accept.is_empty();
+        say(&mut done, witness, (&options.refuted, on_request), &judged, &after);
         done.document.sweep = Some(SweepJudgement {
             session: witness.id.clone(),
-            samples: after.gaps.len(),
+            samples: after.samples,
             before: before.distance,
             after: after.distance,
             explanations: judged,
@@ -98,7 +99,7 @@ fn to_leave_out(here: &[(Vec<String>, SweepVerdict)]) -> Vec<String> {
 fn say(
     done: &mut WhiskerVerification,
     witness: &SweepWitness,
-    left_out: &[String],
+    (left_out, on_request): (&[String], bool),
     judged: &[SweepExplanation],
     after: &SweepVerdict,
 ) {
@@ -118,7 +119,8 @@ fn say(
         .filter(|j| !j.refuted && !j.effects.is_empty())
         .map(|j| j.effects.join(" with "))
         .collect();
-    if after.refuted() && document.verdict == Verdict::Ambiguous && !remain.is_empty() {
+    let open = document.verdict == Verdict::Ambiguous && !on_request && !remain.is_empty();
+    if open && judged.iter().any(|j| j.refuted && !j.effects.is_empty()) {
         document.reason = format!(
             "The sweep {} refutes some of the explanations; it leaves {}. {}",
             witness.id,

@@ -16,9 +16,9 @@
 //! T = sum_j (u_j' d)^2 / l_j ~ chi^2(q)        l_j, u_j: eigenvalues and vectors of the covariance of d; q of them exceed 2 s_f^2
 //! ```
 //!
-//! s_f bounds what friction and the mesh do and is no measured noise: directions in which it rules say nothing.
-//! h_0: the same error at the sweep's zero, which takes it away. Readings count from first load to the largest one: the contact is that of first touch there. A wire that slips while the load falls may lie on
-//! elsewhere, or at two places. The sweep has its own zero: the readings before the free wire comes near the object.
+//! s_f bounds what friction and the mesh do and is no measured noise: directions in which it rules say nothing. h_0 is the common error at the
+//! sweep's own zero (the readings before the free wire comes near the object), which takes it away. Readings count from first load to the
+//! largest one: the contact is that of first touch there. A wire that slips while the load falls may lie on elsewhere, or at two places.
 
 use crate::ContactError;
 use crate::motion_table;
@@ -71,9 +71,9 @@ pub struct SweepWitness {
 /// What a sweep says of one calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SweepVerdict {
-    /// Signed gaps of the readings in contact, mm, with their times, s.
-    pub gaps: Vec<(f64, f64)>,
-    /// The same in numbers.
+    /// Readings that judge.
+    pub samples: usize,
+    /// Their distances.
     pub distance: SurfaceDistance,
     /// Probability of gaps as unlikely where the calibration is right within its uncertainty.
     pub p_value: f64,
@@ -97,7 +97,6 @@ struct Gap {
 /// A reading with the pose of the base.
 struct PosedRow<'a> {
     row: &'a SensedRow,
-    t_s: f64,
     world_from_base: Isometry3<f64>,
 }
 
@@ -162,6 +161,7 @@ impl SweepWitness {
             let expected = format!("{MIN_SAMPLES} loaded readings");
             return Err(ContactError::value(self.session.points.display().to_string(), expected, found));
         }
+        // Where the object allows a contact with these moments, and how that moves with them.
         let grid = InverseGrid::default();
         let max_nmm = grid.max_nmm.max(1.05 * largest + STEP_NMM);
         let inverse = StaticInverse::new(&self.whisker, InverseGrid { max_nmm, ..grid })?;
@@ -176,6 +176,7 @@ impl SweepWitness {
             let expected = format!("an object within {REACH_MM} mm of the wire at every loaded reading");
             return Err(ContactError::value(self.session.points.display().to_string(), expected, found));
         }
+        // A pose of the calibration stands for its share of the moments' range: within it the misfit is one.
         let spacing_nmm = largest / (self.poses as f64).sqrt();
         let zero_nmm2 = Matrix2::identity() * (variance / free as f64);
         // What all readings share is off the zero already.
@@ -184,7 +185,7 @@ impl SweepWitness {
         let covariance = self.covariance(&touching, &moments, &gaps, &known, (zero_nmm2, spacing_nmm));
         Ok(SweepVerdict {
             distance: distance(&gaps),
-            gaps: touching.iter().zip(&gaps).map(|(r, g)| (r.t_s, g.d_mm)).collect(),
+            samples: gaps.len(),
             p_value: p_value(&gaps, covariance),
         })
     }
@@ -204,7 +205,7 @@ impl SweepWitness {
             };
             if let Ok(motion) = logged.log.at(t_s, &Vector3::zeros()) {
                 let world_from_base = crate::table_source::base_pose(&motion).world_from_base;
-                posed.push(PosedRow { row, t_s, world_from_base });
+                posed.push(PosedRow { row, world_from_base });
             }
         }
         Ok(posed)

@@ -51,12 +51,6 @@ impl TableSource {
         let of_motion =
             |w: &SessionWarning| matches!(&w.kind, WarningKind::UnknownColumn(c) if is_motion_column(c));
         let needs_reference = calibration.fbg().needs_reference();
-        if needs_reference && !rows.iter().any(|m| m.reference) {
-            let what = format!("{}: fbg_ref_nm", path.display());
-            const EXPECTED: &str =
-                "the strain-isolated grating, since the calibration compensates temperature with it";
-            return Err(ContactError::value(what, EXPECTED, "none"));
-        }
         let mut last_s = f64::NEG_INFINITY;
         for row in &rows {
             let what = || format!("{}: line {}: t_s", path.display(), row.line);
@@ -66,6 +60,12 @@ impl TableSource {
                 return Err(ContactError::value(what(), expected, t_s.to_string()));
             }
             last_s = t_s;
+        }
+        if needs_reference && !rows.iter().any(|m| m.reference) {
+            let what = format!("{}: fbg_ref_nm", path.display());
+            const EXPECTED: &str =
+                "the strain-isolated grating, since the calibration compensates temperature with it";
+            return Err(ContactError::value(what, EXPECTED, "none"));
         }
         let warnings = warnings.into_iter().filter(|w| !of_motion(w)).collect();
         let places = known_places(path)?;

@@ -275,7 +275,8 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
     if !c.rivals.is_empty() && lack.is_none() {
         c.verdict = Verdict::Ambiguous;
         let names: Vec<String> = c.alternatives.iter().map(|a| a.join(" with ")).collect();
-        c.reason = format!("The data show an unmodelled effect; these explanations remain: {}.", names.join("; "));
+        c.reason =
+            format!("The data show an unmodelled effect; these explanations remain: {}.", names.join("; "));
     } else if left || lack.is_some() {
         c.verdict = Verdict::UnknownEffect;
         let test = if something { &found.last_test } else { &found.first_test };
@@ -298,7 +299,8 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
         );
     } else {
         let p = found.first_test.p_value(p_lack_of_fit);
-        c.reason = format!("The declared model explains the readings to within the noise (omnibus p = {p:.2}).");
+        c.reason =
+            format!("The declared model explains the readings to within the noise (omnibus p = {p:.2}).");
     }
     c
 }

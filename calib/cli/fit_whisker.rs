@@ -160,7 +160,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
         RestChoice::FreeCurvature => wcal_rod::RestChoice::FreeCurvature,
     };
     let progress = Progress::new("fit-whisker");
-    progress.format_prefix("rest shape");
+    progress.stage("rest shape");
     let mut fit = fit_rest(&nominal, &usable, choice)?;
     let moved = moved_by_shared(&document, &usable);
     if moved.is_empty() {
@@ -185,7 +185,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
             fit.model.name()
         ));
     }
-    progress.format_prefix("stiffness");
+    progress.stage("stiffness");
     let stiffness = args.moments.as_ref().map(|session| stiffness(session, &nominal, &fit)).transpose()?;
     if let Some(s) = &stiffness {
         warnings.extend(s.left_out.iter().map(|why| format!("moments: {why}: left out")));

@@ -5,6 +5,7 @@ mod text;
 pub use text::print_text;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::progress::Progress;
 use crate::report::put_page;
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
@@ -26,7 +27,7 @@ use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, 
 use wcal_core::{Provenance, SessionData, Unsealing, VerificationStatus, WhiskerData};
 use wcal_report::{Page, ReportInput};
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
-use wcal_trace::method::options::Options;
+use wcal_trace::method::options::{Options, ProgressListener};
 use wcal_trace::scalar::{ScalarData, verify_scalar};
 use wcal_trace::verify::VerifyOptions;
 use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};
@@ -111,10 +112,10 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
         eprintln!("warning: {warning}");
     }
     let given = args.calibration.as_deref().map(|path| GivenCalibration::read(path, &session)).transpose()?;
-    let progress = crate::progress::Progress::new(&format!("verify {}", session.id));
-    progress.hear_search();
+    let progress = Progress::new(&format!("verify {}", session.id));
     let order = VerifyOrder {
         seed: args.seed,
+        progress: listener(&progress),
         accept: &args.accept,
         given,
         sweep: args.sweep.as_deref(),
@@ -174,11 +175,19 @@ struct Outcome {
     judged: Option<CalibrationJudgement>,
 }
 
+/// Shows how far a search is on the terminal.
+pub fn listener(progress: &Progress) -> ProgressListener {
+    let reporter = progress.reporter();
+    ProgressListener::new(move |stage, done| reporter.at(stage, done))
+}
+
 /// What is asked of the loop beside the session.
 #[derive(Default)]
 pub struct VerifyOrder<'a> {
     /// Seed of every random draw.
     pub seed: u64,
+    /// Hears how far the search is.
+    pub progress: ProgressListener,
     /// Effects to be accepted; none leaves the choice to the verdict.
     pub accept: &'a [String],
     /// A calibration to be judged.
@@ -195,12 +204,12 @@ pub fn verify_session(
     out: &mut OutputFolder<'_>,
     order: &VerifyOrder<'_>,
 ) -> anyhow::Result<ReportInput> {
-    let VerifyOrder { seed, accept, given, sweep, valid_days } = order;
+    let VerifyOrder { seed, progress, accept, given, sweep, valid_days } = order;
     let (seed, accept) = (*seed, *accept);
     let provenance = provenance(session, seed);
     let record = UnsealRecord::read(session, out.folder())?;
     let options = VerifyOptions {
-        search: Options { seed, ..Options::default() },
+        search: Options { seed, progress: progress.clone(), ..Options::default() },
         accept: accept.to_vec(),
         seal: record.seal(session, &provenance),
         ..VerifyOptions::default()

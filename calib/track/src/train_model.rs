@@ -22,7 +22,7 @@ use wcal_sim::Mesh;
 use wcal_sim::objects::TEST_NAMES;
 use wcal_sim::read::manifests;
 
-mod cost;
+pub(crate) mod cost;
 mod shifted_sweeps;
 
 use cost::Stopwatch;

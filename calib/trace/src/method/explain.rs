@@ -187,7 +187,7 @@ pub fn explain(system: &dyn MeasurementModel, options: &Options) -> Option<Expla
     let mut weights = Weights::independent(judge.inputs.own(0.0));
     let base = declared(system, &weights, options.seed)?;
     let declared_noise = judge.noise(&base, &[])?.0;
-    let mut options = *options;
+    let mut options = options.clone();
     let mut found = search(system, &weights, &options)?;
     if fits_exactly(system, &base) {
         found.best = base;

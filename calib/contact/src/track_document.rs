@@ -36,6 +36,7 @@ pub enum Method {
     /// Along a known motion.
     KnownMotion,
     /// By the moments alone.
+    #[serde(rename = "moments-alone")]
     StaticArc,
 }
 

@@ -53,12 +53,6 @@ impl ChannelMap {
         Self { gratings: [find("fbg_ref"), find("fbg_1"), find("fbg_2")] }
     }
 
-    /// Whether the rig has a strain-isolated grating.
-    #[must_use]
-    pub fn has_reference(&self) -> bool {
-        self.gratings[0].is_some()
-    }
-
     /// Assigns the peaks of a scan: nearest to the nominal wavelength, inside the window.
     #[must_use]
     pub fn assign(&self, reading: &FbgReading) -> Assigned {

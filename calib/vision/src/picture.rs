@@ -167,44 +167,6 @@ impl Picture {
         None
     }
 
-    /// Noise of the grey values (sd, DN) as a function of the grey level, from second differences along rows:
-    /// `sd^2 = a + b * level`, fitted to the medians of level bands. Returns `(a, b)`.
-    #[must_use]
-    pub fn noise_model(&self) -> (f64, f64) {
-        let mut bands: Vec<Vec<f64>> = vec![Vec::new(); 16];
-        for y in (0..self.height).step_by(2) {
-            let row = &self.data[y * self.width..(y + 1) * self.width];
-            for w in row.windows(3) {
-                let d = f64::from(w[0]) - 2.0 * f64::from(w[1]) + f64::from(w[2]);
-                bands[usize::from(w[1]) / 16].push(d.abs());
-            }
-        }
-        let mut points = Vec::new();
-        for (k, band) in bands.iter_mut().enumerate() {
-            if band.len() < 2000 {
-                continue;
-            }
-            // Mean absolute value of the lower 80 %: textures and edges lie in the upper tail. For a Gaussian it is 0.577 sd.
-            band.sort_by(f64::total_cmp);
-            let keep = band.len() * 8 / 10;
-            let mean = band[..keep].iter().sum::<f64>() / keep as f64;
-            let variance = (mean / 0.577).powi(2) / 6.0;
-            points.push((k as f64 * 16.0 + 8.0, variance, band.len() as f64));
-        }
-        // The floor is quantisation, 1/12 DN^2.
-        let floor = 1.0 / 12.0;
-        if points.is_empty() {
-            return (1.0, 0.0);
-        }
-        let w: f64 = points.iter().map(|p| p.2).sum();
-        let mx = points.iter().map(|p| p.0 * p.2).sum::<f64>() / w;
-        let my = points.iter().map(|p| p.1 * p.2).sum::<f64>() / w;
-        let sxx = points.iter().map(|p| p.2 * (p.0 - mx).powi(2)).sum::<f64>();
-        let sxy = points.iter().map(|p| p.2 * (p.0 - mx) * (p.1 - my)).sum::<f64>();
-        let slope = if sxx > 0.0 { (sxy / sxx).clamp(0.0, my / mx.max(1.0)) } else { 0.0 };
-        ((my - slope * mx).max(floor), slope)
-    }
-
     /// The picture as an OpenCV matrix (a copy).
     pub(crate) fn to_mat(&self) -> Result<Mat, VisionError> {
         let rows: Vec<&[u8]> = self.data.chunks_exact(self.width).collect();

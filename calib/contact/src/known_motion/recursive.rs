@@ -318,12 +318,6 @@ impl RecursivePosterior {
         })
     }
 
-    /// Nodes of the grid now.
-    #[must_use]
-    pub fn node_count(&self) -> usize {
-        self.nodes.len()
-    }
-
     /// Unit vector of the push.
     #[must_use]
     pub fn push_direction(&self) -> Vector3<f64> {

@@ -74,7 +74,7 @@ fn text(check: &PlanCheck) -> Result<String> {
         let pairs: Vec<String> = a.separates.iter().map(|p| p.join(" from ")).collect();
         let mut gains = Vec::new();
         if !pairs.is_empty() {
-            gains.push(format!("tells {}", pairs.join(", ")));
+            gains.push(format!("distinguishes {}", pairs.join(", ")));
         }
         if !a.testable.is_empty() {
             gains.push(format!("shows {}", a.testable.join(", ")));

@@ -143,7 +143,7 @@ impl Drop for OwnedSessionFolder {
 /// Who drives it.
 pub(crate) fn stage_lock(rig: &StageRig, session: &Path) -> Result<FileLock, AcquisitionError> {
     let lock = FileLock::of_port(&rig.port, &purpose(session));
-    lock.map_err(|e| held(e, format!("stage {}", rig.port), "a stage that nobody else drives"))
+    lock.map_err(|e| held(e, format!("stage {}", rig.port), "a stage that no other program drives"))
 }
 
 fn purpose(session: &Path) -> String {

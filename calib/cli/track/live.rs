@@ -297,7 +297,7 @@ fn watch_stage(rig: &Rig, clock: HostClock, intake: &FeedInput, interrupt: &Inte
     let lock = serial.then(|| FileLock::of_port(&rig.stage.port, "track")).transpose();
     let opened = lock
         .map_err(|held| {
-            let expected = "a line that nobody else uses";
+            let expected = "a line that no other program uses";
             DeviceError::new(DeviceErrorKind::Configuration, "stage", "open", expected, held.to_string())
         })
         .and_then(|lock| Ok((lock, Drivers::new(interrupt).stage(&rig.stage, clock)?)));

@@ -141,7 +141,7 @@ fn meaning(word: &str) -> &'static str {
         "no-equilibrium" => "the wire did not come to rest in too many samples",
         "onset" => "first touch",
         "release" => "the wire came free",
-        "unstable" => "a step went wrong: a number that is none",
+        "unstable" => "a step went wrong: a value is not finite",
         "penetration" => "the wire sank into the object by more than its radius",
         "chatter" => "the contact opened and closed from step to step",
         "engine-died" => "MuJoCo's program ended; a second run makes these sweeps again",

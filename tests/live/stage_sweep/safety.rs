@@ -270,7 +270,7 @@ fn a_session_and_a_stage_have_one_sweep_at_a_time() {
     let run = ended(run);
     let said = text(&run.stderr);
     assert_eq!(run.status.code(), Some(1), "{said}");
-    assert!(said.contains(&me) && said.contains("a stage that nobody else drives"), "{said}");
+    assert!(said.contains(&me) && said.contains("a stage that no other program drives"), "{said}");
     assert!(!other.exists(), "{said}");
     // Control: neither disturbed the first, and afterwards both are free.
     finished(&ended(first), 6);

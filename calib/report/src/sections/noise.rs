@@ -31,7 +31,7 @@ pub(super) fn body(input: &ReportInput) -> String {
             "From differences of neighbouring readings, since no pose was repeated; the verdict is provisional."
         }
         "declared" => "As declared in the session; not measured here.",
-        "none" | "" => "Not known: nothing in this session tells noise from error.",
+        "none" | "" => "Unknown: this session cannot separate noise from error.",
         _ => "",
     };
     let mut out = if table.is_empty() { String::new() } else { table.html() };

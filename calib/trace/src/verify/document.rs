@@ -156,5 +156,5 @@ fn other_laws<M: SessionModel>(model: &M, explained: &Explained, conclusion: &Co
     let others: Vec<String> =
         explained.found.survivors.iter().filter(same).map(|h| laws(h).join(" with ")).collect();
     (!others.is_empty() && !own.is_empty())
-        .then(|| format!("{} is not told from {}.", own.join(" with "), others.join(", nor from ")))
+        .then(|| format!("{} cannot be distinguished from {}.", own.join(" with "), others.join(" or ")))
 }

@@ -181,7 +181,7 @@ pub fn cross_validate<M: SessionModel>(
         noise_ratio: noise_ratio(model, &unsealed.noise, &counted),
         words: folds.words.clone(),
         remark: format!(
-            " Errors are {}: the choice among the refitted explanations and every fitted value were made without what is left out.",
+            " Cross-validation {}: selection and fit used only the remaining readings.",
             folds.words
         ),
     }

@@ -65,7 +65,7 @@ pub fn sentences<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
             out.push(format!("{name} is at the end of its physical range."));
         }
         if tangent.norm() < 1e-150 {
-            out.push(format!("{name} moves no prediction near its value: the data do not tell where between two readings it lies."));
+            out.push(format!("{name} moves no prediction near its value: the data do not determine where between two readings it lies."));
         }
     }
     let mut pairs: Vec<(f64, usize, usize)> = Vec::new();

@@ -123,7 +123,7 @@ pub(crate) fn refuse_unphysical(
         Err(VisionError::result(
             "accept the calibration",
             expected,
-            format!("{found} (RMS {:.3} px all the same){parallel}", solution.rms_px()),
+            format!("{found} (RMS {:.3} px nevertheless){parallel}", solution.rms_px()),
         ))
     };
     if !solution.converged {
@@ -220,7 +220,7 @@ fn tilt_spread_deg(camera_from_board: &[Isometry3<f64>]) -> f64 {
 fn parallel(camera_from_board: &[Isometry3<f64>]) -> Option<String> {
     let spread = tilt_spread_deg(camera_from_board);
     (spread < TILT_DEG).then(|| {
-        format!("all boards are nearly parallel ({spread:.1} deg at most): nothing tells focal length from distance; tilt them by {TILT_DEG} deg")
+        format!("all boards are nearly parallel ({spread:.1} deg at most): focal length and distance cannot be separated; tilt them by {TILT_DEG} deg")
     })
 }
 

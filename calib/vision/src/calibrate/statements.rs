@@ -156,7 +156,7 @@ fn not_square(points: &[Vector3<f64>], solution: &StereoSolution) -> Option<Stri
     let change = (with_stretch(points, solution, both).1 - solution.bundle.cost_px2) / variance;
     let print = print_stretched(both);
     (change < DECIDED).then(|| {
-        let decided = if change < -DECIDED { "the pictures fit" } else { "these views do not tell it from" };
-        format!("fy/fx is {both:.4} in both cameras: pixels that are not square? {decided} {print}; boards rolled by 90 degrees tell")
+        let decided = if change < -DECIDED { "the pictures fit" } else { "these views cannot distinguish it from" };
+        format!("fy/fx is {both:.4} in both cameras: pixels that are not square? {decided} {print}; boards rolled by 90 degrees decide")
     })
 }

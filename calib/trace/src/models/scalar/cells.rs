@@ -167,7 +167,7 @@ impl ScalarSystem {
             let by_clock = self.runs_with_the_clock(&term);
             let why = |why: String| Some(NotIdentified { effect: term.effect, why });
             if let Some(plainer) = self.not_told_from(&terms, &term, h) {
-                return why(format!("on this range it is not told from {plainer}"));
+                return why(format!("on this range it cannot be distinguished from {plainer}"));
             }
             if self.too_little_of_it(&terms, &term, h) {
                 return why("a bend of fewer periods describes the readings as well".to_owned());

@@ -174,7 +174,7 @@ fn without_response(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<Stri
         ));
     }
     (load.len() == 2 && response_p(&y, &load, 1, dof) > RESPONSE_LEVEL).then(|| {
-        "The gratings have rank 1: both follow one direction of the load alike, so two moments cannot be told from them.".to_owned()
+        "The gratings have rank 1: both follow the same direction of the load, so they cannot determine two moments.".to_owned()
     })
 }
 

@@ -6,7 +6,6 @@ use crate::support::program;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde_json::Value;
 use std::path::Path;
-use std::time::{Duration, Instant};
 use wcal_vision::calibrate::board::TagOrder;
 
 /// Distance of the cameras as drawn, mm.
@@ -154,9 +153,8 @@ fn cameras_that_are_swapped_are_still_remarked_on() {
 }
 
 #[test]
-fn another_pattern_than_the_stated_one_is_told_within_seconds() {
+fn another_pattern_than_the_stated_one_is_named() {
     let tags = pictured(&april_grid(TagOrder::default()), &tilted(1.0), &right_from_left());
-    let began = Instant::now();
     is_named(tags.path(), &CHESS, &["--pattern aprilgrid --dictionary tag36h11"]);
     is_named(
         tags.path(),
@@ -165,7 +163,6 @@ fn another_pattern_than_the_stated_one_is_told_within_seconds() {
     );
     let squares = pictured(&chessboard([7, 6], 14.0, 1.0), &tilted(1.0), &right_from_left());
     is_named(squares.path(), &grid("7x6", "26", "7.8"), &["--pattern chessboard"]);
-    assert!(began.elapsed() < Duration::from_secs(120), "{:?}", began.elapsed());
 }
 
 /// Names as a recorder with two cameras writes them, files of macOS beside them, and colours.

@@ -44,7 +44,7 @@ use blocks::blocks;
 use factors::{Chain, Ends};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
-use slips::parts;
+use slips::{LEAPS, parts};
 use smooth::{BlockPosterior, posterior, smooth};
 use std::ops::Range;
 use wcal_track::inverse::Node;
@@ -162,14 +162,25 @@ struct Hypothesis {
     blocks: Vec<BlockPosterior>,
 }
 
-/// Tracks a contact over the readings of one episode.
+/// Tracks a contact over the readings of one episode; smaller leaps of the moments are slips only where that makes the answer sure.
 #[must_use]
 pub fn locate_sliding(wire: &TouchedWire, rows: &[MotionRow]) -> SlidingContact {
+    let [clear, weak] = LEAPS;
+    let found = locate_parts(wire, rows, clear);
+    if found.sure() {
+        return found;
+    }
+    let parted = locate_parts(wire, rows, weak);
+    if parted.sure() && parted.slips > found.slips { parted } else { found }
+}
+
+/// With the path parted at each leap of the moments.
+fn locate_parts(wire: &TouchedWire, rows: &[MotionRow], leap: f64) -> SlidingContact {
     let mut all = SlidingContact::nothing(rows.len());
     let Some([first, last]) = touching(rows) else { return all };
     let held = &rows[first..=last];
     let lost_at_end = last + 1 < rows.len() && lost_at_once(held);
-    let ranges = parts(held);
+    let ranges = parts(held, leap);
     let ends = |r: &Range<usize>| Ends {
         from_free: r.start == 0,
         slips_off: lost_at_end && r.end == held.len(),

@@ -174,6 +174,10 @@ impl KnownMotionTable {
                 s.evidence - s.reversed_evidence
             )
         }));
+        let slips = numbered().filter_map(|(n, c)| Some((n, c.range[0], c.slides()?)));
+        all.extend(slips.flat_map(|(n, from, s)| s.slips.iter().map(move |k| (n, from + k))).map(|(n, k)| {
+            format!("contact {n}: it slips to another place of the object before {:.2} s", self.rows[k].t_s)
+        }));
         let unsure = numbered().filter(|(_, c)| self.over_object && c.slides().is_some_and(|s| !s.sure()));
         all.extend(unsure.map(|(n, _)| {
             format!(

@@ -13,13 +13,18 @@
 //! the best paths that begin on the wire, at its tip from the side and from ahead (`first_path`), each at several friction coefficients. A step says
 //! about the same at any rate: readings count as means over 0.7 mm of the motion (`blocks`).
 //!
+//! A sweep one way says little of the friction: J changes by a few over 0 to 0.3, while the places change by a few mm for one of the coefficient.
+//! So the hypotheses' spread is most of the stated uncertainty.
+//!
+//! Where the contact slips to another place of the object at once, the moments leap (`slips`). The path ends there; the next one begins anywhere.
+//!
 //! The motion has to be this object's: J has to be lower than with the motion's sign reversed, and not more than a few for each of n blocks:
 //!
 //! ```text
 //! E = -J / 2 > E_reversed,     J <= 3 n
 //! ```
 //!
-//! An answer is sure where the motion goes one way and J <= 1.5 n. Else the contact may be lost: in simulated tracks that turn back a quarter of the
+//! An answer is sure where the motion goes one way, J <= 1.5 n, the surface has no gap, and the reversed motion is not clearly better. Else the contact may be lost: in simulated tracks that turn back a quarter of the
 //! readings lay outside, so that with this probability l nothing is known, `(1 - l) p + l uniform`.
 //!
 //! What this cannot tell: a surface of which nothing is known takes up most errors of gain, and a clock that is wrong in a steady motion; only an
@@ -52,7 +57,7 @@ use wcal_track::inverse::Node;
 /// Friction coefficients of the hypotheses.
 const FRICTIONS: [f64; 4] = [0.0, 0.1, 0.2, 0.3];
 /// Weight of a hypothesis by its sum of squares: 1/2 for independent residuals.
-const DISCOUNT: f64 = 0.3;
+const DISCOUNT: f64 = 0.4;
 /// Standard deviations added for what the model leaves out: along the wire, and in space, mm.
 const MODEL_SD_MM: f64 = 0.1;
 /// Largest sum of squares for each block.
@@ -93,8 +98,8 @@ pub struct SlidingContact {
     pub turns_back: bool,
     /// Sum of squares by which the contacts are not on one surface; of the part between slips where it is largest.
     pub gaps: f64,
-    /// Slips of the contact to another place at once.
-    pub slips: usize,
+    /// First readings after slips of the contact to another place at once.
+    pub slips: Vec<usize>,
     /// Whether all parts between slips are explained.
     pub whole: bool,
 }
@@ -128,7 +133,7 @@ impl SlidingContact {
             predicted: 0,
             turns_back: false,
             gaps: f64::INFINITY,
-            slips: 0,
+            slips: Vec::new(),
             whole: false,
         }
     }
@@ -171,7 +176,7 @@ pub fn locate_sliding(wire: &TouchedWire, rows: &[MotionRow]) -> SlidingContact 
         return found;
     }
     let parted = locate_parts(wire, rows, weak);
-    if parted.sure() && parted.slips > found.slips { parted } else { found }
+    if parted.sure() && parted.slips.len() > found.slips.len() { parted } else { found }
 }
 
 /// With the path parted at each leap of the moments.
@@ -195,7 +200,7 @@ fn locate_parts(wire: &TouchedWire, rows: &[MotionRow], leap: f64) -> SlidingCon
     all.predicted = each().map(|p| p.count).sum();
     all.gaps = each().map(Part::gaps).fold(0.0, f64::max);
     all.turns_back = turns_back(held);
-    all.slips = ranges.len() - 1;
+    all.slips = ranges[1..].iter().map(|r| first + r.start).collect();
     all.whole = found.iter().all(Option::is_some);
     let lost = if all.sure() { 0.0 } else { LOST };
     for (range, part) in ranges.into_iter().zip(&found) {

@@ -175,9 +175,14 @@ impl KnownMotionTable {
             )
         }));
         let slips = numbered().filter_map(|(n, c)| Some((n, c.range[0], c.slides()?)));
-        all.extend(slips.flat_map(|(n, from, s)| s.slips.iter().map(move |k| (n, from + k))).map(|(n, k)| {
-            format!("contact {n}: it slips to another place of the object before {:.2} s", self.rows[k].t_s)
-        }));
+        all.extend(slips.flat_map(|(n, from, s)| s.slips.iter().map(move |k| (n, from + k))).map(
+            |(n, k)| {
+                format!(
+                    "contact {n}: it slips to another place of the object before {:.2} s",
+                    self.rows[k].t_s
+                )
+            },
+        ));
         let unsure = numbered().filter(|(_, c)| self.over_object && c.slides().is_some_and(|s| !s.sure()));
         all.extend(unsure.map(|(n, _)| {
             format!(
@@ -252,7 +257,13 @@ impl Estimator for KnownMotionTable {
 
     fn findings(&self) -> Findings {
         let contact = |c: &TableContact| {
-            ContactDocument::of_table(&c.found, c.span_s, c.range[1] - c.range[0], c.sliding.as_ref(), c.slides().is_some())
+            ContactDocument::of_table(
+                &c.found,
+                c.span_s,
+                c.range[1] - c.range[0],
+                c.sliding.as_ref(),
+                c.slides().is_some(),
+            )
         };
         let document = EstimatorDocument {
             method: Some(Method::KnownMotion),

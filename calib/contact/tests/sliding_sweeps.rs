@@ -134,7 +134,12 @@ fn a_contact_is_followed_past_a_slip() {
     };
     let all: Vec<_> = SLIP_SEEDS.into_par_iter().map(one).collect();
     for (seed, rows, found, plain) in &all {
-        println!("{seed}: {} slips (without one {plain}), sure {}; {}", found.slips.len(), found.sure(), said(rows));
+        println!(
+            "{seed}: {} slips (without one {plain}), sure {}; {}",
+            found.slips.len(),
+            found.sure(),
+            said(rows)
+        );
     }
     assert!(all.iter().filter(|a| a.2.slips.len() == 1).count() >= 3);
     assert!(all.iter().all(|a| a.3 == 0));

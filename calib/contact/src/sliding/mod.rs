@@ -186,11 +186,10 @@ fn locate_parts(wire: &TouchedWire, rows: &[MotionRow], leap: f64) -> SlidingCon
     let held = &rows[first..=last];
     let lost_at_end = last + 1 < rows.len() && lost_at_once(held);
     let ranges = parts(held, leap);
-    let ends = |r: &Range<usize>| Ends {
-        from_free: r.start == 0,
-        slips_off: lost_at_end && r.end == held.len(),
-    };
-    let found: Vec<Option<Part>> = ranges.par_iter().map(|r| Part::find(wire, &held[r.clone()], ends(r))).collect();
+    let ends =
+        |r: &Range<usize>| Ends { from_free: r.start == 0, slips_off: lost_at_end && r.end == held.len() };
+    let found: Vec<Option<Part>> =
+        ranges.par_iter().map(|r| Part::find(wire, &held[r.clone()], ends(r))).collect();
     let each = || found.iter().flatten();
     if each().count() == 0 {
         return all;

@@ -20,9 +20,7 @@ const FROM_ENDS: usize = 3;
 
 /// The readings between slips; a reading that is caught within a slip is in none.
 pub(super) fn parts(rows: &[MotionRow], leap: f64) -> Vec<Range<usize>> {
-    let step = |k: usize| {
-        (Vector2::from(rows[k].moment_nmm) - Vector2::from(rows[k - 1].moment_nmm)).norm()
-    };
+    let step = |k: usize| (Vector2::from(rows[k].moment_nmm) - Vector2::from(rows[k - 1].moment_nmm)).norm();
     let leaps = |k: usize| {
         let (from, to) = (k.saturating_sub(AROUND).max(1), (k + AROUND + 1).min(rows.len()));
         let mut around: Vec<f64> = (from..to).filter(|j| *j != k).map(step).collect();

@@ -132,11 +132,12 @@ impl Scene {
         // Without friction: where about it slips off is enough.
         let mut slide = Slide::new(&wire, &self.body, 0.0, start);
         let mut touched = false;
-        let off_mm = (0..(MAX_WAY_MM / SNAP_STEP_MM) as u32).map(|k| SNAP_STEP_MM * f64::from(k)).find(|way| {
-            let left = slide.advance(&(start + self.direction * *way)).is_err();
-            let was = std::mem::replace(&mut touched, slide.touch.is_some());
-            left || (was && !touched)
-        })?;
+        let off_mm =
+            (0..(MAX_WAY_MM / SNAP_STEP_MM) as u32).map(|k| SNAP_STEP_MM * f64::from(k)).find(|way| {
+                let left = slide.advance(&(start + self.direction * *way)).is_err();
+                let was = std::mem::replace(&mut touched, slide.touch.is_some());
+                left || (was && !touched)
+            })?;
         let [a, c] = [0.18, 0.18].map(|most: f64| rng.random_range(-most..most));
         let mut beyond = Body::draw(rng, &wire, c, a);
         let depth_mm = rng.random_range(SNAP_DEPTH_MM[0]..SNAP_DEPTH_MM[1]);

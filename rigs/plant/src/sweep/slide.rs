@@ -260,7 +260,9 @@ impl<'a> Slide<'a> {
     /// How deep the wire lies in a body away from the contact, mm: more than a little means a second contact.
     pub fn overlap_mm(&self, body: &Body) -> f64 {
         let line = match &self.touch {
-            None => return -Slide::new(self.wire, body, self.friction, self.base_mm).free_gap(&self.base_mm).0,
+            None => {
+                return -Slide::new(self.wire, body, self.friction, self.base_mm).free_gap(&self.base_mm).0;
+            }
             Some(t) => {
                 let held = crate::rod::Equilibrium {
                     force_n: t.force_n,

@@ -28,12 +28,14 @@ struct TableContact {
     found: EpisodeEstimate,
     /// The contact as one that slides, where no fixed point explains the moments.
     sliding: Option<SlidingContact>,
+    /// In a sweep over an object, where sliding is the normal case and nothing has to support it but the fit.
+    over_object: bool,
 }
 
 impl TableContact {
     /// As one that slides, where the motion supports it.
     fn slides(&self) -> Option<&SlidingContact> {
-        self.sliding.as_ref().filter(|s| s.supported())
+        self.sliding.as_ref().filter(|s| s.supported() || (self.over_object && s.sure()))
     }
 }
 
@@ -117,9 +119,10 @@ impl KnownMotionTable {
         let found = ranges.par_iter().map(one).collect::<Result<Vec<EpisodeEstimate>, ContactError>>()?;
         let with_range: Vec<([usize; 2], &EpisodeEstimate)> = ranges.iter().copied().zip(&found).collect();
         let sliding = sliding_contacts(&self.whisker, &self.rows, &with_range)?;
+        let over_object = self.over_object;
         let contact = |((range, found), sliding): (([usize; 2], EpisodeEstimate), Option<SlidingContact>)| {
             let span_s = [self.rows[range[0]].t_s, self.rows[range[1] - 1].t_s];
-            TableContact { range, span_s, found, sliding }
+            TableContact { range, span_s, found, sliding, over_object }
         };
         self.contacts = ranges.into_iter().zip(found).zip(sliding).map(contact).collect();
         Ok(())
@@ -171,6 +174,15 @@ impl KnownMotionTable {
                 s.evidence - s.reversed_evidence
             )
         }));
+        let slips = numbered().filter_map(|(n, c)| Some((n, c.range[0], c.slides()?)));
+        all.extend(slips.flat_map(|(n, from, s)| s.slips.iter().map(move |k| (n, from + k))).map(
+            |(n, k)| {
+                format!(
+                    "contact {n}: it slips to another place of the object before {:.2} s",
+                    self.rows[k].t_s
+                )
+            },
+        ));
         let unsure = numbered().filter(|(_, c)| self.over_object && c.slides().is_some_and(|s| !s.sure()));
         all.extend(unsure.map(|(n, _)| {
             format!(
@@ -245,7 +257,13 @@ impl Estimator for KnownMotionTable {
 
     fn findings(&self) -> Findings {
         let contact = |c: &TableContact| {
-            ContactDocument::of_table(&c.found, c.span_s, c.range[1] - c.range[0], c.sliding.as_ref())
+            ContactDocument::of_table(
+                &c.found,
+                c.span_s,
+                c.range[1] - c.range[0],
+                c.sliding.as_ref(),
+                c.slides().is_some(),
+            )
         };
         let document = EstimatorDocument {
             method: Some(Method::KnownMotion),

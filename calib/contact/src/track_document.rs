@@ -215,8 +215,8 @@ impl ContactDocument {
         [from_s, to_s]: [f64; 2],
         readings: usize,
         sliding: Option<&SlidingContact>,
+        slides: bool,
     ) -> Self {
-        let slides = sliding.is_some_and(SlidingContact::supported);
         let fixed = Self::new(&found.innovations, found.disagreement.filter(|_| !slides), readings);
         let evidence = |s: &SlidingContact| SlidingDocument {
             log_evidence: s.evidence,

@@ -6,6 +6,9 @@ use nalgebra::{Matrix2, Vector3};
 /// Way of the object over a block, mm.
 const STEP_MM: f64 = 0.7;
 
+/// A reading at an end lies up to this many steps past the middle of the last block.
+const PAST: f64 = 0.7;
+
 /// Means over blocks, and for each reading where it lies among them: a block and the share of the way to the next.
 pub(super) fn blocks(rows: &[MotionRow]) -> (Vec<MotionRow>, Vec<(usize, f64)>) {
     let mut means = Vec::new();
@@ -25,7 +28,7 @@ pub(super) fn blocks(rows: &[MotionRow]) -> (Vec<MotionRow>, Vec<(usize, f64)>) 
         let Some(last) = means.len().checked_sub(2) else { return (0, 0.0) };
         let k = means.partition_point(|b| b.t_s <= row.t_s).saturating_sub(1).min(last);
         let share = (row.t_s - means[k].t_s) / (means[k + 1].t_s - means[k].t_s);
-        (k, share.clamp(0.0, 1.0))
+        (k, share.clamp(-PAST, 1.0 + PAST))
     };
     let places = rows.iter().map(place).collect();
     (means, places)

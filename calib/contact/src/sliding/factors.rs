@@ -9,7 +9,7 @@
 //! friction    (a, c)_k + mu w / sqrt(|w|^2 + e^2) ~ 0                w = dP - t ds in the directions along and across: slip of the wire's matter
 //! slip rate   (q_(k+1) - q_k) / dt_k - (q_k - q_(k-1)) / dt_(k-1) ~ 0     heavy tails: sticking, edges
 //! press       min(f, 0) = 0
-//! touch       |P_1 - free wire at q_1| ~ 0                          within a step of the motion and what the noise hides
+//! touch       |P_1 - free wire at q_1| ~ 0                          within a step of the motion and what the noise hides; not after a slip
 //! end         L - q_last ~ 0 where the load is lost at once: the wire has slipped off at its tip
 //! ```
 //!
@@ -68,6 +68,15 @@ pub(super) struct Local {
     pub y: ContactQuantities,
 }
 
+/// How the readings of a contact begin and end.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Ends {
+    /// Whether the wire was free before; else the contact slipped here from another place.
+    pub from_free: bool,
+    /// Whether the load is lost at once after the last reading.
+    pub slips_off: bool,
+}
+
 /// Residuals of a contact's readings.
 pub(super) struct Chain<'a> {
     pub wire: &'a TouchedWire,
@@ -76,8 +85,7 @@ pub(super) struct Chain<'a> {
     whiten: Vec<Matrix2<f64>>,
     /// Way of the object from the reading before, mm.
     pub step_mm: Vec<f64>,
-    /// Whether the load is lost at once after the last reading.
-    pub slips_off: bool,
+    pub ends: Ends,
     /// Common unknowns of the moments.
     pub shared: usize,
     /// Friction coefficient.
@@ -89,7 +97,7 @@ pub(super) struct Chain<'a> {
 }
 
 impl<'a> Chain<'a> {
-    pub fn new(wire: &'a TouchedWire, rows: &'a [MotionRow], slips_off: bool) -> Self {
+    pub fn new(wire: &'a TouchedWire, rows: &'a [MotionRow], ends: Ends) -> Self {
         let whiten = rows
             .iter()
             .map(|r| {
@@ -109,7 +117,7 @@ impl<'a> Chain<'a> {
             rows,
             whiten,
             step_mm: (0..rows.len()).map(step).collect(),
-            slips_off,
+            ends,
             shared,
             friction: 0.0,
             heavy: true,
@@ -130,8 +138,8 @@ impl<'a> Chain<'a> {
             Kind::Friction => Some(k.saturating_sub(1)..=k),
             Kind::Surface => (k > 0).then(|| k - 1..=k),
             Kind::SlipRate => (k > 1).then(|| k - 2..=k),
-            Kind::End => (k == last && k > 0 && self.slips_off).then(|| k - 1..=k),
-            Kind::Touch => (k == 0).then_some(k..=k),
+            Kind::End => (k == last && k > 0 && self.ends.slips_off).then(|| k - 1..=k),
+            Kind::Touch => (k == 0 && self.ends.from_free).then_some(k..=k),
         }
     }
 
@@ -242,6 +250,11 @@ impl<'a> Chain<'a> {
             Some(self.tails(kind).map_or(r2, |nu| (nu + 1.0) * (r2 / nu).ln_1p()))
         };
         (0..all.len()).filter_map(one).sum()
+    }
+
+    /// Sum of squares of what parts the contacts from one surface.
+    pub fn gaps(&self, x: &[State], c: &DVector<f64>) -> f64 {
+        self.sum(Kind::Surface, &self.locals(x), c)
     }
 
     /// Sum of squares of everything.

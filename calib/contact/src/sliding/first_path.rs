@@ -67,6 +67,9 @@ fn best_path(
         noise.hypot(next)
     };
     let first = |c: &Candidate| {
+        if !chain.ends.from_free {
+            return if c.as_ref().is_some_and(|c| begins(&c.0)) { 0.0 } else { f64::INFINITY };
+        }
         let deflection = c.as_ref().filter(|c| begins(&c.0)).map(|(x, y)| chain.deflection(0, x, y));
         deflection.filter(|d| *d < MAX_DEFLECTION).map_or(f64::INFINITY, |d| d * d)
     };
@@ -77,7 +80,7 @@ fn best_path(
         costs = next;
         from.push(best);
     }
-    if chain.slips_off {
+    if chain.ends.slips_off {
         for (i, cost) in costs.iter_mut().enumerate() {
             if let Some((x, _)) = &solved[solved.len() - 1][i] {
                 *cost += ((chain.wire.length_mm - x[0]).max(0.0) / 2.0).powi(2).min(30.0);

@@ -13,13 +13,18 @@
 //! the best paths that begin on the wire, at its tip from the side and from ahead (`first_path`), each at several friction coefficients. A step says
 //! about the same at any rate: readings count as means over 0.7 mm of the motion (`blocks`).
 //!
+//! A sweep one way says little of the friction: J changes by a few over 0 to 0.3, while the places change by a few mm for one of the coefficient.
+//! So the hypotheses' spread is most of the stated uncertainty.
+//!
+//! Where the contact slips to another place of the object at once, the moments leap (`slips`). The path ends there; the next one begins anywhere.
+//!
 //! The motion has to be this object's: J has to be lower than with the motion's sign reversed, and not more than a few for each of n blocks:
 //!
 //! ```text
 //! E = -J / 2 > E_reversed,     J <= 3 n
 //! ```
 //!
-//! An answer is sure where the motion goes one way and J <= 1.5 n. Else the contact may be lost: in simulated tracks that turn back a quarter of the
+//! An answer is sure where the motion goes one way, J <= 1.5 n, the surface has no gap, and the reversed motion is not clearly better. Else the contact may be lost: in simulated tracks that turn back a quarter of the
 //! readings lay outside, so that with this probability l nothing is known, `(1 - l) p + l uniform`.
 //!
 //! What this cannot tell: a surface of which nothing is known takes up most errors of gain, and a clock that is wrong in a steady motion; only an
@@ -32,6 +37,7 @@ mod blocks;
 mod contact_state;
 mod factors;
 mod first_path;
+mod slips;
 mod smooth;
 
 pub use contact_state::TouchedWire;
@@ -40,28 +46,36 @@ use crate::arc::arclength_regions;
 use crate::known_motion::contact_path::loaded;
 use crate::known_motion::{EpisodeContact, MotionRow, Region};
 use blocks::blocks;
-use factors::Chain;
+use factors::{Chain, Ends};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
+use slips::{LEAPS, parts};
 use smooth::{BlockPosterior, posterior, smooth};
+use std::ops::Range;
 use wcal_track::inverse::Node;
 
 /// Friction coefficients of the hypotheses.
 const FRICTIONS: [f64; 4] = [0.0, 0.1, 0.2, 0.3];
 /// Weight of a hypothesis by its sum of squares: 1/2 for independent residuals.
-const DISCOUNT: f64 = 0.15;
+const DISCOUNT: f64 = 0.4;
 /// Standard deviations added for what the model leaves out: along the wire, and in space, mm.
 const MODEL_SD_MM: f64 = 0.1;
 /// Largest sum of squares for each block.
 const MAX_COST: f64 = 3.0;
 /// The same from which on an answer is not sure: simulated sweeps that are followed have 0.3 to 0.9, lost ones 2 and more.
 const SURE_COST: f64 = 1.5;
+/// Largest sum of squares of the surface of an answer that is sure: those that are followed have less than 2, lost ones 10 and more.
+const MAX_GAPS: f64 = 6.0;
+/// Log likelihood by which the reversed motion has to be better to speak against the motion.
+const AGAINST: f64 = 3.0;
 /// Probability that a contact is lost where the answer is not sure (`tests/sliding.rs`).
 const LOST: f64 = 0.3;
 /// A motion that comes back by more than this has turned, mm: above the noise of an arm's log.
 const TURNED_MM: f64 = 0.5;
 /// Fewer blocks support nothing.
 const MIN_BLOCKS: usize = 8;
+/// Fewer blocks have no change of slip.
+const MIN_MEANS: usize = 3;
 /// A load that would last for more than so many readings as it falls is lost at once.
 const LOST_AT_ONCE: f64 = 3.0;
 /// Spacing of the regions' nodes along the wire, mm.
@@ -82,6 +96,12 @@ pub struct SlidingContact {
     pub predicted: usize,
     /// Whether the motion comes back on itself while the wire is loaded.
     pub turns_back: bool,
+    /// Sum of squares by which the contacts are not on one surface; of the part between slips where it is largest.
+    pub gaps: f64,
+    /// First readings after slips of the contact to another place at once.
+    pub slips: Vec<usize>,
+    /// Whether all parts between slips are explained.
+    pub whole: bool,
 }
 
 impl SlidingContact {
@@ -93,10 +113,15 @@ impl SlidingContact {
             && -2.0 * self.evidence <= MAX_COST * self.predicted as f64
     }
 
-    /// Whether the stated regions are those of the fit alone.
+    /// Whether the stated regions are those of the fit alone: it leaves no more than noise, and nothing speaks against the motion.
     #[must_use]
     pub fn sure(&self) -> bool {
-        self.supported() && !self.turns_back && -2.0 * self.evidence <= SURE_COST * self.predicted as f64
+        self.predicted >= MIN_BLOCKS
+            && self.whole
+            && self.evidence > self.reversed_evidence - AGAINST
+            && !self.turns_back
+            && -2.0 * self.evidence <= SURE_COST * self.predicted as f64
+            && self.gaps <= MAX_GAPS
     }
 
     fn nothing(readings: usize) -> Self {
@@ -107,6 +132,9 @@ impl SlidingContact {
             reversed_evidence: f64::NEG_INFINITY,
             predicted: 0,
             turns_back: false,
+            gaps: f64::INFINITY,
+            slips: Vec::new(),
+            whole: false,
         }
     }
 }
@@ -132,47 +160,102 @@ fn free() -> EpisodeContact {
     EpisodeContact { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, outlier: false }
 }
 
-/// A hypothesis with its weight and its posterior.
+/// A hypothesis: its sum of squares, what of it is of the surface, and its posterior.
 struct Hypothesis {
     cost: f64,
+    gaps: f64,
     blocks: Vec<BlockPosterior>,
 }
 
-/// Tracks a contact over the readings of one episode.
+/// Tracks a contact over the readings of one episode; smaller leaps of the moments are slips only where that makes the answer sure.
 #[must_use]
 pub fn locate_sliding(wire: &TouchedWire, rows: &[MotionRow]) -> SlidingContact {
-    let Some([first, last]) = touching(rows) else { return SlidingContact::nothing(rows.len()) };
+    let [clear, weak] = LEAPS;
+    let found = locate_parts(wire, rows, clear);
+    if found.sure() {
+        return found;
+    }
+    let parted = locate_parts(wire, rows, weak);
+    if parted.sure() && parted.slips.len() > found.slips.len() { parted } else { found }
+}
+
+/// With the path parted at each leap of the moments.
+fn locate_parts(wire: &TouchedWire, rows: &[MotionRow], leap: f64) -> SlidingContact {
+    let mut all = SlidingContact::nothing(rows.len());
+    let Some([first, last]) = touching(rows) else { return all };
     let held = &rows[first..=last];
-    let slips_off = last + 1 < rows.len() && lost_at_once(held);
-    let (means, at) = blocks(held);
-    if means.len() < 3 {
-        return SlidingContact::nothing(rows.len());
+    let lost_at_end = last + 1 < rows.len() && lost_at_once(held);
+    let ranges = parts(held, leap);
+    let ends =
+        |r: &Range<usize>| Ends { from_free: r.start == 0, slips_off: lost_at_end && r.end == held.len() };
+    let found: Vec<Option<Part>> =
+        ranges.par_iter().map(|r| Part::find(wire, &held[r.clone()], ends(r))).collect();
+    let each = || found.iter().flatten();
+    if each().count() == 0 {
+        return all;
     }
-    let (found, control) = rayon::join(
-        || hypotheses(wire, &means, slips_off, &FRICTIONS),
-        || hypotheses(wire, &reversed(&means), slips_off, &FRICTIONS[..1]),
-    );
-    let least = |all: &[Hypothesis]| all.iter().map(|h| h.cost).fold(f64::INFINITY, f64::min);
-    let cost = least(&found);
-    if !cost.is_finite() {
-        return SlidingContact::nothing(rows.len());
-    }
-    let weights: Vec<f64> = found.iter().map(|h| (-DISCOUNT * (h.cost - cost)).exp()).collect();
-    let mut all = SlidingContact {
-        evidence: -0.5 * cost,
-        reversed_evidence: -0.5 * least(&control),
-        predicted: means.len(),
-        turns_back: turns_back(held),
-        ..SlidingContact::nothing(rows.len())
-    };
+    all.evidence = each().map(|p| -0.5 * p.cost()).sum();
+    all.reversed_evidence = each().map(|p| -0.5 * p.reversed_cost).sum();
+    all.predicted = each().map(|p| p.count).sum();
+    all.gaps = each().map(Part::gaps).fold(0.0, f64::max);
+    all.turns_back = turns_back(held);
+    all.slips = ranges[1..].iter().map(|r| first + r.start).collect();
+    all.whole = found.iter().all(Option::is_some);
     let lost = if all.sure() { 0.0 } else { LOST };
-    for (k, (row, (block, share))) in held.iter().zip(at).enumerate() {
-        let each: Vec<(f64, BlockPosterior)> =
-            found.iter().zip(&weights).map(|(h, w)| (*w, between(&h.blocks, block, share))).collect();
-        all.places[first + k] = place(&each, row, lost * wire.length_mm.powi(2) / 12.0);
-        all.regions[first + k] = regions(&each, wire.length_mm, lost);
+    for (range, part) in ranges.into_iter().zip(&found) {
+        let Some(part) = part else { continue };
+        for (k, at) in range.zip(&part.at) {
+            let each = part.mixture(*at);
+            all.places[first + k] = place(&each, &held[k], lost * wire.length_mm.powi(2) / 12.0);
+            all.regions[first + k] = regions(&each, wire.length_mm, lost);
+        }
     }
     all
+}
+
+/// Readings of a contact without a slip between them, with their hypotheses.
+struct Part {
+    hypotheses: Vec<Hypothesis>,
+    /// Least sum of squares under the reversed motion.
+    reversed_cost: f64,
+    /// Blocks, and where each reading lies among them.
+    count: usize,
+    at: Vec<(usize, f64)>,
+}
+
+impl Part {
+    /// None where nothing explains the readings.
+    fn find(wire: &TouchedWire, rows: &[MotionRow], ends: Ends) -> Option<Self> {
+        let (means, at) = blocks(rows);
+        if means.len() < MIN_MEANS {
+            return None;
+        }
+        let (hypotheses, control) = rayon::join(
+            || hypotheses(wire, &means, ends, &FRICTIONS),
+            || hypotheses(wire, &reversed(&means), ends, &FRICTIONS[..1]),
+        );
+        let reversed_cost = control.iter().map(|h| h.cost).fold(f64::INFINITY, f64::min);
+        (!hypotheses.is_empty()).then_some(Self { hypotheses, reversed_cost, count: means.len(), at })
+    }
+
+    fn best(&self) -> &Hypothesis {
+        let first = &self.hypotheses[0];
+        self.hypotheses.iter().fold(first, |a, b| if b.cost < a.cost { b } else { a })
+    }
+
+    fn cost(&self) -> f64 {
+        self.best().cost
+    }
+
+    fn gaps(&self) -> f64 {
+        self.best().gaps
+    }
+
+    /// What the hypotheses say a share of the way from a block to the next, with their weights.
+    fn mixture(&self, (block, share): (usize, f64)) -> Vec<(f64, BlockPosterior)> {
+        let weight = |h: &Hypothesis| (-DISCOUNT * (h.cost - self.cost())).exp();
+        self.hypotheses.iter().map(|h| (weight(h), between(&h.blocks, block, share))).collect()
+    }
 }
 
 /// First and last of the readings that are loaded, each with a neighbour that is, too.
@@ -199,27 +282,31 @@ fn reversed(rows: &[MotionRow]) -> Vec<MotionRow> {
 }
 
 /// All paths under all friction coefficients; those that explain the readings and have a curvature.
-fn hypotheses(wire: &TouchedWire, rows: &[MotionRow], slips_off: bool, frictions: &[f64]) -> Vec<Hypothesis> {
-    let chain = Chain::new(wire, rows, slips_off);
-    let firsts = first_path::first_paths(&chain);
-    let all: Vec<_> = firsts.iter().flat_map(|path| frictions.iter().map(move |mu| (path, *mu))).collect();
-    let one = |(path, mu): &(&Vec<_>, f64)| {
-        let mut chain = Chain::new(wire, rows, slips_off);
-        let found = smooth(&mut chain, (*path).clone(), *mu);
-        Some(Hypothesis { cost: found.cost, blocks: posterior(&chain, &found)? })
+fn hypotheses(wire: &TouchedWire, rows: &[MotionRow], ends: Ends, frictions: &[f64]) -> Vec<Hypothesis> {
+    let firsts = first_path::first_paths(&Chain::new(wire, rows, ends));
+    let one = |path: Vec<_>| {
+        let mut chain = Chain::new(wire, rows, ends);
+        let found = smooth(&mut chain, path, frictions);
+        let both = found.iter().zip(frictions).filter_map(|(found, mu)| {
+            chain.friction = *mu;
+            let gaps = chain.gaps(&found.x, &found.common);
+            Some(Hypothesis { cost: found.cost, gaps, blocks: posterior(&chain, found)? })
+        });
+        both.collect::<Vec<_>>()
     };
-    all.par_iter().filter_map(one).collect()
+    firsts.into_par_iter().flat_map_iter(one).collect()
 }
 
 /// A share of the way from a block to the next.
 fn between(blocks: &[BlockPosterior], k: usize, share: f64) -> BlockPosterior {
     let (a, b) = (&blocks[k], &blocks[(k + 1).min(blocks.len() - 1)]);
-    let of = |a: f64, b: f64| a + (b - a) * share;
+    // Places go on past the blocks' middles at the ends; spreads do not.
+    let inner = share.clamp(0.0, 1.0);
     BlockPosterior {
         axis_mm: a.axis_mm.lerp(&b.axis_mm, share),
-        covariance_mm2: a.covariance_mm2 * (1.0 - share) + b.covariance_mm2 * share,
-        arclength_mm: of(a.arclength_mm, b.arclength_mm),
-        sd_mm: of(a.sd_mm, b.sd_mm),
+        covariance_mm2: a.covariance_mm2 * (1.0 - inner) + b.covariance_mm2 * inner,
+        arclength_mm: a.arclength_mm + (b.arclength_mm - a.arclength_mm) * share,
+        sd_mm: a.sd_mm + (b.sd_mm - a.sd_mm) * inner,
     }
 }
 

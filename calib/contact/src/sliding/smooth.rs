@@ -5,7 +5,7 @@ use super::factors::Chain;
 use nalgebra::{DVector, Matrix3, SMatrix, Vector3};
 
 /// Iterations of a descent, and the improvement at which it ends.
-const MAX_STEPS: usize = 15;
+const MAX_STEPS: usize = 30;
 const SMALL: f64 = 3e-3;
 /// Damping: first, least, most.
 const DAMPING: [f64; 3] = [1e-3, 1e-9, 1e6];
@@ -14,7 +14,7 @@ const DAMPING: [f64; 3] = [1e-3, 1e-9, 1e6];
 #[derive(Debug, Clone)]
 pub(super) struct Smoothed {
     pub x: Vec<State>,
-    common: DVector<f64>,
+    pub common: DVector<f64>,
     /// Sum of the squares.
     pub cost: f64,
 }
@@ -30,18 +30,29 @@ pub(super) struct BlockPosterior {
     pub sd_mm: f64,
 }
 
-/// From a first path, under a friction coefficient.
-pub(super) fn smooth(chain: &mut Chain<'_>, first: Vec<State>, friction: f64) -> Smoothed {
-    chain.friction = friction;
-    let mut found = Smoothed { x: first, common: chain.prior(), cost: f64::INFINITY };
-    for (by_slip, heavy) in [(false, false), (false, true), (true, true)] {
-        (chain.by_slip, chain.heavy) = (by_slip, heavy);
-        found = descend(chain, found);
+/// From a first path under all friction coefficients, in their order: each begins where its neighbour's descent ended, upward and then back,
+/// since a descent that begins far off ends in another minimum.
+pub(super) fn smooth(chain: &mut Chain<'_>, first: Vec<State>, frictions: &[f64]) -> Vec<Smoothed> {
+    let start = Smoothed { x: first, common: chain.prior(), cost: f64::INFINITY };
+    let start = [(false, false), (false, true)]
+        .into_iter()
+        .fold(start, |found, (by_slip, heavy)| descend(chain, found, frictions[0], by_slip, heavy));
+    let mut found: Vec<Smoothed> = Vec::new();
+    for mu in frictions {
+        let from = found.last().unwrap_or(&start).clone();
+        found.push(descend(chain, from, *mu, true, true));
+    }
+    for k in (0..frictions.len() - 1).rev() {
+        let back = descend(chain, found[k + 1].clone(), frictions[k], true, true);
+        if back.cost < found[k].cost {
+            found[k] = back;
+        }
     }
     found
 }
 
-fn descend(chain: &Chain<'_>, from: Smoothed) -> Smoothed {
+fn descend(chain: &mut Chain<'_>, from: Smoothed, friction: f64, by_slip: bool, heavy: bool) -> Smoothed {
+    (chain.friction, chain.by_slip, chain.heavy) = (friction, by_slip, heavy);
     let cost = chain.cost(&from.x, &from.common);
     let mut here = Smoothed { cost, ..from };
     let [mut damping, least, most] = DAMPING;

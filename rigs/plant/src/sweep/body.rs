@@ -6,7 +6,9 @@
 //! world = centre + R (u, w, v),  w along the axis
 //! ```
 
-use nalgebra::{Matrix3, Vector2, Vector3};
+use crate::rod::Wire;
+use nalgebra::{Matrix3, Rotation3, Vector2, Vector3};
+use rand::{Rng, RngExt};
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fmt::Write as _;
 
@@ -103,6 +105,33 @@ fn rounded(a: f64, b: f64, edge: f64, at: &Vector2<f64>) -> (f64, Vector2<f64>) 
 }
 
 impl Body {
+    /// Across the free wire, tilted about the world's x and z.
+    pub(super) fn draw(rng: &mut impl Rng, wire: &Wire, about_x: f64, about_z: f64) -> Self {
+        let outline = match rng.random_range(0..3_u32) {
+            0 => {
+                let r = rng.random_range(6.0..25.0);
+                Outline::Ellipse { a_mm: r, b_mm: r }
+            }
+            1 => Outline::Ellipse { a_mm: rng.random_range(6.0..25.0), b_mm: rng.random_range(6.0..25.0) },
+            _ => Outline::RoundedBox {
+                a_mm: rng.random_range(8.0..20.0),
+                b_mm: rng.random_range(8.0..20.0),
+                edge_mm: rng.random_range(2.0..6.0),
+            },
+        };
+        let within = Rotation3::from_axis_angle(&Vector3::y_axis(), rng.random_range(-0.8..0.8));
+        let turn: Matrix3<f64> = (Rotation3::from_axis_angle(&Vector3::x_axis(), about_x)
+            * Rotation3::from_axis_angle(&Vector3::z_axis(), about_z)
+            * within)
+            .into();
+        let mut body = Self { outline, centre_mm: Vector3::zeros(), turn, half_mm: 60.0 };
+        // How near to the root the body reaches, as a share of the free wire's reach.
+        let near = rng.random_range(0.55..0.88) * wire.rest(wire.length_mm).0.x;
+        let extent = 1e4 - body.closest(&Vector3::new(-1e4, 0.0, 0.0)).0;
+        body.centre_mm = Vector3::x() * (near + extent);
+        body
+    }
+
     /// Signed distance (mm) and outward normal of the surface at the point nearest to a place in the world; the ends are far away.
     #[must_use]
     pub fn closest(&self, place_mm: &Vector3<f64>) -> (f64, Vector3<f64>) {
@@ -111,12 +140,12 @@ impl Body {
         (distance, self.turn * Vector3::new(n.x, 0.0, n.y))
     }
 
-    /// The surface as text of an STL file, mm, world frame.
+    /// Facets of the surface for an STL file, mm, world frame.
     #[must_use]
-    pub fn stl(&self) -> String {
+    pub fn facets(&self) -> String {
         let ring = self.outline.points();
         let at = |p: &Vector2<f64>, w: f64| self.centre_mm + self.turn * Vector3::new(p.x, w, p.y);
-        let mut out = "solid body\n".to_owned();
+        let mut out = String::new();
         let mut facet = |corners: [Vector3<f64>; 3]| {
             let n = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).normalize();
             let _ = write!(out, "facet normal {} {} {}\nouter loop\n", n.x, n.y, n.z);
@@ -134,7 +163,6 @@ impl Body {
             facet([at(&Vector2::zeros(), h), at(q, h), at(p, h)]);
             facet([at(&Vector2::zeros(), -h), at(p, -h), at(q, -h)]);
         }
-        out.push_str("endsolid body\n");
         out
     }
 }

@@ -11,8 +11,8 @@ use crate::bench::Bench;
 use crate::case::{Case, CaseKind, Request, put};
 use crate::layout::Design;
 use crate::{PlantError, session};
-use body::{Body, Outline};
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use body::Body;
+use nalgebra::{Rotation3, Vector3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -32,6 +32,9 @@ const MAX_BEND_PER_MM: f64 = 0.08;
 const MIN_TOUCHES: usize = 16;
 const MIN_ARC_MM: f64 = 12.0;
 const MAX_OVERLAP_MM: f64 = 0.03;
+/// Steps in which it is looked for where the wire slips off a body, and how deep the free wire lies there in the next body, mm.
+const SNAP_STEP_MM: f64 = 0.5;
+const SNAP_DEPTH_MM: [f64; 2] = [1.0, 5.0];
 /// Draws before it is given up.
 const MAX_DRAWS: u32 = 60;
 
@@ -42,6 +45,8 @@ pub struct Scene {
     pub bench: Bench,
     /// At rest in the world.
     pub body: Body,
+    /// At rest beyond it: what the wire snaps onto when it slips off the first.
+    pub beyond: Option<Body>,
     /// Friction coefficient.
     pub friction: f64,
     /// Unit vector of the base's motion, world frame.
@@ -105,28 +110,7 @@ impl Scene {
         let side = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
         let [a, b, c] = [0.18, 0.12, 0.18].map(|most: f64| rng.random_range(-most..most));
         let direction = Rotation3::from_euler_angles(a, b, 0.0) * V3::z() * side;
-        let outline = match rng.random_range(0..3_u32) {
-            0 => {
-                let r = rng.random_range(6.0..25.0);
-                Outline::Ellipse { a_mm: r, b_mm: r }
-            }
-            1 => Outline::Ellipse { a_mm: rng.random_range(6.0..25.0), b_mm: rng.random_range(6.0..25.0) },
-            _ => Outline::RoundedBox {
-                a_mm: rng.random_range(8.0..20.0),
-                b_mm: rng.random_range(8.0..20.0),
-                edge_mm: rng.random_range(2.0..6.0),
-            },
-        };
-        let within = Rotation3::from_axis_angle(&V3::y_axis(), rng.random_range(-0.8..0.8));
-        let turn: Matrix3<f64> = (Rotation3::from_axis_angle(&V3::x_axis(), c)
-            * Rotation3::from_axis_angle(&V3::z_axis(), a)
-            * within)
-            .into();
-        let mut body = Body { outline, centre_mm: V3::zeros(), turn, half_mm: 60.0 };
-        // How near to the root the body reaches, as a share of the free wire's reach.
-        let near = rng.random_range(0.55..0.88) * wire.rest(wire.length_mm).0.x;
-        let extent = 1e4 - body.closest(&V3::new(-1e4, 0.0, 0.0)).0;
-        body.centre_mm = V3::x() * (near + extent);
+        let body = Body::draw(rng, &wire, c, a);
         let drift = |rng: &mut dyn Rng| rng.random_range(-0.5..0.5);
         Self {
             friction: if rng.random_bool(0.3) { 0.0 } else { rng.random_range(0.0..0.3) },
@@ -136,8 +120,32 @@ impl Scene {
             rate_hz: rng.random_range(5.0..20.0_f64).round(),
             bench,
             body,
+            beyond: None,
             direction,
         }
+    }
+
+    /// With a second body, where the wire snaps onto it when it slips off the first; none where it does not slip off at once.
+    fn with_body_beyond(mut self, rng: &mut impl Rng) -> Option<Self> {
+        let wire = self.bench.wire();
+        let start = self.start(&wire)?;
+        // Without friction: where about it slips off is enough.
+        let mut slide = Slide::new(&wire, &self.body, 0.0, start);
+        let mut touched = false;
+        let off_mm =
+            (0..(MAX_WAY_MM / SNAP_STEP_MM) as u32).map(|k| SNAP_STEP_MM * f64::from(k)).find(|way| {
+                let left = slide.advance(&(start + self.direction * *way)).is_err();
+                let was = std::mem::replace(&mut touched, slide.touch.is_some());
+                left || (was && !touched)
+            })?;
+        let [a, c] = [0.18, 0.18].map(|most: f64| rng.random_range(-most..most));
+        let mut beyond = Body::draw(rng, &wire, c, a);
+        let depth_mm = rng.random_range(SNAP_DEPTH_MM[0]..SNAP_DEPTH_MM[1]);
+        let first = Self { body: beyond.clone(), ..self.clone() }.start(&wire)? + self.direction * LEAD_MM;
+        // The free wire lies so deep in it where it leaves the first.
+        beyond.centre_mm += start + self.direction * (off_mm - depth_mm) - first;
+        self.beyond = Some(beyond);
+        Some(self)
     }
 
     /// Where the base starts: a little before first touch.
@@ -159,6 +167,8 @@ impl Scene {
         let wire = self.bench.wire();
         let start = self.start(&wire)?;
         let mut slide = Slide::new(&wire, &self.body, self.friction, start);
+        let mut second = self.beyond.as_ref().map(|b| Slide::new(&wire, b, self.friction, start));
+        let bodies = || std::iter::once(&self.body).chain(&self.beyond);
         let max_moment = wire.ei_nmm2 * MAX_BEND_PER_MM;
         let (mut readings, mut touches, mut free) = (Vec::new(), 0, 0);
         for k in 0.. {
@@ -166,12 +176,17 @@ impl Scene {
             let way = self.speed_mm_s * t_s + 0.1 * (0.7 * t_s).sin();
             let base_mm = start + self.direction * way;
             slide.advance(&base_mm).ok()?;
+            if let Some(next) = second.as_mut().filter(|_| slide.touch.is_none() && touches > 0) {
+                // The wire comes from the first body's side, as if it had met the second alone.
+                next.advance(&base_mm).ok()?;
+                (slide, second) = (second?, None);
+            }
             match &slide.touch {
                 Some(t) => {
                     let [y, z] = [t.moment_nmm.y, t.moment_nmm.z];
                     if t.arclength_mm < MIN_ARC_MM
                         || y.hypot(z) > max_moment
-                        || slide.overlap_mm() > MAX_OVERLAP_MM
+                        || bodies().any(|b| slide.overlap_mm(b) > MAX_OVERLAP_MM)
                     {
                         return None;
                     }
@@ -213,9 +228,21 @@ impl SweepCase {
     /// # Errors
     /// [`PlantError::NoEquilibrium`] where no draw is a sweep.
     pub fn draw(seed: u64) -> Result<Self, PlantError> {
+        Self::of(seed, |rng| Some(Scene::draw(rng)))
+    }
+
+    /// Draws a sweep in which the wire slips off a body and snaps onto another: the contact leaps.
+    ///
+    /// # Errors
+    /// As [`SweepCase::draw`].
+    pub fn draw_with_slip(seed: u64) -> Result<Self, PlantError> {
+        Self::of(seed, |rng| Scene::draw(rng).with_body_beyond(rng))
+    }
+
+    fn of(seed: u64, scene: impl Fn(&mut ChaCha8Rng) -> Option<Scene>) -> Result<Self, PlantError> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         for rejected in 0..MAX_DRAWS {
-            let scene = Scene::draw(&mut rng);
+            let Some(scene) = scene(&mut rng) else { continue };
             if let Some(readings) = scene.run(&mut rng) {
                 return Ok(Self { seed, rejected, scene, readings });
             }
@@ -278,6 +305,8 @@ impl SweepCase {
         put(&folder.join("readings.csv"), &readings)?;
         put(&folder.join("base.csv"), &base)?;
         put(&folder.join("truth.csv"), &truth)?;
-        put(&folder.join("object.stl"), &self.scene.body.stl())
+        let bodies = [Some(&self.scene.body), self.scene.beyond.as_ref()];
+        let facets: String = bodies.into_iter().flatten().map(Body::facets).collect();
+        put(&folder.join("object.stl"), &format!("solid body\n{facets}endsolid body\n"))
     }
 }

@@ -257,10 +257,12 @@ impl<'a> Slide<'a> {
         }
     }
 
-    /// How deep the wire lies in the body away from the contact, mm: more than a little means a second contact.
-    pub fn overlap_mm(&self) -> f64 {
+    /// How deep the wire lies in a body away from the contact, mm: more than a little means a second contact.
+    pub fn overlap_mm(&self, body: &Body) -> f64 {
         let line = match &self.touch {
-            None => return -self.free_gap(&self.base_mm).0,
+            None => {
+                return -Slide::new(self.wire, body, self.friction, self.base_mm).free_gap(&self.base_mm).0;
+            }
             Some(t) => {
                 let held = crate::rod::Equilibrium {
                     force_n: t.force_n,
@@ -271,7 +273,7 @@ impl<'a> Slide<'a> {
                 self.wire.centre_line(Some((&t.axis_mm, &held)), 1.0)
             }
         };
-        let depth = |p: &V3| self.wire.radius_mm() - self.body.closest(&(p + self.base_mm)).0;
+        let depth = |p: &V3| self.wire.radius_mm() - body.closest(&(p + self.base_mm)).0;
         line.iter().map(depth).fold(f64::NEG_INFINITY, f64::max)
     }
 }

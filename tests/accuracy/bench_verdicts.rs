@@ -155,3 +155,27 @@ fn a_lag_beside_play_is_as_long_as_it_is() {
     let v = verified(folder.path(), "play");
     assert_eq!((&v["verdict"], names(&v)), (&"effect".into(), vec!["stage-backlash"]), "{}", v["reason"]);
 }
+
+/// A settled row's time is the end of its averaging window, its mean is of the window's middle: of a creep of eight seconds half a second is 6 %.
+#[test]
+fn creep_is_as_large_as_it_is_when_rows_say_how_long_they_average() {
+    let folder = bench();
+    swept(folder.path(), "creep", MOVING, "seed = 36\n[effects]\ncreep_fraction = 0.05\ncreep_s = 8");
+    let found = |session: &str| {
+        let v = verified(folder.path(), session);
+        assert_eq!((&v["verdict"], names(&v)), (&"effect".into(), vec!["creep"]), "{}", v["reason"]);
+        (interval(&v, "creep", "creep_fraction"), interval(&v, "creep", "time_constant_s"))
+    };
+    let (fraction, constant) = found("creep");
+    assert!(fraction[0] < 0.05 && 0.05 < fraction[1] && fraction[1] - fraction[0] < 0.002, "{fraction:?}");
+    assert!(constant[0] < 8.0 && 8.0 < constant[1] && constant[1] - constant[0] < 0.6, "{constant:?}");
+    // Control: without the windows' lengths the interval misses.
+    std::fs::create_dir(folder.path().join("unsaid")).unwrap();
+    for file in ["session.toml", "points.csv", "holdout.csv"] {
+        let Ok(text) = std::fs::read_to_string(folder.path().join("creep").join(file)) else { continue };
+        let unsaid = text.replacen("average_s", "note", 1);
+        std::fs::write(folder.path().join("unsaid").join(file), unsaid).unwrap();
+    }
+    let (fraction, _) = found("unsaid");
+    assert!(0.05 < fraction[0], "{fraction:?}");
+}

@@ -62,6 +62,7 @@ struct Columns {
     temperature: Option<Column>,
     sd: [Option<Column>; 2],
     samples: Option<Column>,
+    average: Option<Column>,
     stream: Option<Column>,
 }
 
@@ -84,7 +85,7 @@ enum Wavelengths {
 
 /// Columns of a whisker's table in the order of the reference: those that an import takes by their names, and a recorded session has with
 /// `stream` after them.
-pub const WHISKER_COLUMNS: [&str; 22] = [
+pub const WHISKER_COLUMNS: [&str; 23] = [
     "point",
     "role",
     "trajectory",
@@ -107,6 +108,7 @@ pub const WHISKER_COLUMNS: [&str; 22] = [
     "fbg_1_sd_pm",
     "fbg_2_sd_pm",
     "samples",
+    "average_s",
 ];
 
 fn find_columns(
@@ -141,6 +143,7 @@ fn find_columns(
         temperature: table.optional("temperature_degc")?,
         sd: [table.optional("fbg_1_sd_pm")?, table.optional("fbg_2_sd_pm")?],
         samples: table.optional("samples")?,
+        average: table.optional("average_s")?,
         // A free table may use the word for something else.
         stream: if in_session { table.optional("stream")? } else { None },
     })
@@ -279,6 +282,10 @@ fn read_row(
     }
     let (shift_pm, reference_shift_pm) = shifts(row, &columns.fbg, fbg)?;
     let sd = [row.not_negative(columns.sd[0])?, row.not_negative(columns.sd[1])?];
+    let speed_mm_s = row.not_negative(columns.speed)?;
+    // A settled row is the mean over a window that its times end: the mean is of its middle.
+    let settled = speed_mm_s.is_none_or(|v| v == 0.0);
+    let half_s = row.not_negative(columns.average.filter(|_| settled))?.unwrap_or(0.0) / 2.0;
     Ok(WhiskerRow {
         source: row.file.to_owned(),
         line: row.line,
@@ -286,11 +293,11 @@ fn read_row(
         role,
         trajectory,
         replicate: row.count(columns.replicate, 0)?,
-        t_s: row.number(columns.t_s)?,
+        t_s: row.number(columns.t_s)?.map(|end_s| end_s - half_s),
         stage_mm: row.number(columns.stage)?,
         direction: row.sign(columns.direction)?,
-        speed_mm_s: row.not_negative(columns.speed)?,
-        dwell_s: row.not_negative(columns.dwell)?,
+        speed_mm_s,
+        dwell_s: row.not_negative(columns.dwell)?.map(|end_s| (end_s - half_s).max(0.0)),
         groove_mm,
         temperature_degc: row.temperature(columns.temperature)?,
         shift_pm,

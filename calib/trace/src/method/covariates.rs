@@ -151,6 +151,10 @@ pub fn signatures_of_covariates(
                     maker.add(name, "step", None, &[map(&|u| f64::from(u8::from(u > q)))]);
                 }
                 if name == "t_s" || name == "order" {
+                    // What sets in during the session.
+                    for q in [0.2, 0.35, 0.5, 0.65, 0.8] {
+                        maker.add(name, "dead-zone", None, &[map(&|u| (u - q).max(0.0))]);
+                    }
                     for tau in [0.03, 0.08, 0.2, 0.5] {
                         maker.add(name, "exponential", None, &[map(&|u| (-u / tau).exp())]);
                     }
@@ -172,6 +176,11 @@ pub fn signatures_of_covariates(
                     }
                 }
                 maker.add(name, "quadratic", None, &[map(&|u| u), map(&|u| u * u)]);
+            }
+            "largest_moment_nmm" => {
+                for q in [0.0, 0.2, 0.35, 0.5, 0.65, 0.8] {
+                    maker.add(name, "dead-zone", None, &[map(&|u| (u - q).max(0.0))]);
+                }
             }
             "moment_1_nmm" | "moment_2_nmm" => {
                 maker.add(

@@ -37,6 +37,8 @@ pub struct Explained {
 const MAX_SEARCHES: usize = 3;
 /// Level at which an effect holds against the noise that would stand in its place. It has passed the level of the search already.
 const CONFIRM_LEVEL: f64 = 0.02;
+/// The same beside correlated noise: its time constant comes from a few stretches of the very readings, and a slow effect looks like it.
+const CONFIRM_BESIDE_CORRELATED: f64 = 1e-3;
 /// Generic drivers that are judged against correlated noise.
 const COVARIATES_JUDGED: usize = 10;
 /// Price of a law of the spread, in -2 log likelihood (Akaike).
@@ -109,8 +111,9 @@ impl<'a> Judge<'a> {
                     weakest = Some((p, without));
                 }
             }
+            let level = if with.0.correlated.is_some() { CONFIRM_BESIDE_CORRELATED } else { CONFIRM_LEVEL };
             match weakest {
-                Some((p, without)) if p > CONFIRM_LEVEL => best = without,
+                Some((p, without)) if p > level => best = without,
                 _ => break,
             }
         }

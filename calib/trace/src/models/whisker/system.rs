@@ -400,7 +400,14 @@ impl MeasurementModel for WhiskerSystem {
         if let Some((sensed, _)) = self.moments(&[]) {
             out.push(("moment_1_nmm".to_owned(), sensed.iter().map(|m| m[0]).collect()));
             out.push(("moment_2_nmm".to_owned(), sensed.iter().map(|m| m[1]).collect()));
-            out.push(("moment_nmm".to_owned(), sensed.iter().map(|m| m[0].hypot(m[1])).collect()));
+            let sizes = || sensed.iter().map(|m| m[0].hypot(m[1]));
+            out.push(("moment_nmm".to_owned(), sizes().collect()));
+            // What has yielded keeps the set of the largest moment that it has had.
+            let so_far = sizes().scan(0.0, |largest: &mut f64, size| {
+                *largest = largest.max(size);
+                Some(*largest)
+            });
+            out.push(("largest_moment_nmm".to_owned(), so_far.collect()));
         }
         out.push(("trajectory".to_owned(), column(&|r| f64::from(r.group))));
         out.push(("order".to_owned(), (0..r.len()).map(|k| k as f64).collect()));

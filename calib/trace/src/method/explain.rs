@@ -164,16 +164,20 @@ fn alike(a: &Weights, b: &Weights) -> bool {
     shared && a.relative().iter().zip(b.relative()).all(|(x, y)| near(*x, *y))
 }
 
+/// Chance below which something is there, even where the name that was found for it is taken back.
+const NO_CHANCE: f64 = 1e-3;
+
 /// Takes back what does not earn its name on readings that are left out, and calls what is then left by its size.
 fn within_model_error(system: &dyn MeasurementModel, found: &mut SearchResult, options: &Options) {
     let (best, within) = earned(system, &found.best);
     let mut small = found.last_test.is_small(&found.best.fit);
     if !within.is_empty() {
-        // Where nothing was left beside it, what is left is what was taken back.
+        // Where nothing was left beside it, what is left is what was taken back: a finding of chance, or more than that.
         let nothing_beside = small || !found.last_test.generic();
         found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
         found.last_test.leave_out(&best.fit, &within);
-        small = nothing_beside || found.last_test.is_small(&best.fit);
+        let by_chance = found.last_test.p_covariates.min(found.last_test.p_serial) >= NO_CHANCE;
+        small = (nothing_beside && by_chance) || found.last_test.is_small(&best.fit);
         let lacks = |h: &Hypothesis| h.fit.terms.iter().all(|t| !within.contains(&t.effect));
         found.survivors = vec![best.clone()];
         found.refitted.retain(lacks);

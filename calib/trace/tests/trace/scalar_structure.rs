@@ -277,7 +277,7 @@ fn a_lattice_of_stimuli_does_not_tell_a_wave_over_time_from_one_over_the_stimulu
     for cycles in [1.4, 5.0, 5.3] {
         let wrong = share(8, |seed| {
             let d = with(seed, true, cycles);
-            println!("{cycles}: {:?} {} {:?}", d.verdict, d.reason, d.alternatives);
+            println!("{cycles}: {:?} {} {:?} {:?}", d.verdict, d.reason, d.effects.iter().map(|e| (&e.laws, &e.parameters)).collect::<Vec<_>>(), d.notes);
             sure_and_wrong(&d)
         });
         assert!(wrong == 0.0, "{cycles}: {wrong}");

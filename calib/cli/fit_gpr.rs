@@ -74,7 +74,7 @@ pub enum Hyperparameters {
 const RESULT: ResultKind<'_> = ResultKind {
     command: "fit-gpr",
     document: "fit-gpr.json",
-    says: "wcal-map/",
+    format_prefix: "wcal-map/",
     files: &["calibration.json", "report.html"],
     kept: &[],
     resumes: false,
@@ -102,7 +102,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     }
     let default = if data.twin.is_empty() { LabelSource::Rod } else { LabelSource::Twin };
     let progress = Progress::new("fit-gpr");
-    progress.says("moments of the poses");
+    progress.format_prefix("moments of the poses");
     let labels = moment_labels(data, args.labels.unwrap_or(default))?;
     let (training, unlabelled) = training_set(data, &labels);
     for point in &unlabelled {
@@ -120,7 +120,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         fbg: data.fbg.clone(),
         ..FitOptions::default()
     };
-    progress.says("fitting and cross-validating the maps");
+    progress.format_prefix("fitting and cross-validating the maps");
     let fit = fit_map(&training, &options).with_context(|| format!("session {:?}", session.id))?;
     drop(progress);
     let poses = training.trajectory.iter().flatten().count();

@@ -118,7 +118,9 @@ fn rows_whose_scans_are_missing_or_late_are_marked_and_said() {
     assert_eq!(stream["warnings"].as_array().map(Vec::len), Some(3), "{stream}");
     let loaded = wcal_session::load(folder.path()).expect("loads");
     let own_s = |loaded: &wcal_session::LoadedSession| {
-        let wcal_core::observation::SessionData::Whisker(data) = &loaded.data else { unreachable!("a whisker") };
+        let wcal_core::observation::SessionData::Whisker(data) = &loaded.data else {
+            unreachable!("a whisker")
+        };
         let own = |r: &wcal_core::observation::WhiskerRow| (r.t_s.expect("s"), r.dwell_s.expect("s"));
         data.rows.iter().map(own).collect::<Vec<_>>()
     };

@@ -2,7 +2,7 @@
 
 use super::acceptance::supported;
 use super::session_model::SessionModel;
-use crate::effect::{EffectTerm, Need};
+use crate::effect::{EffectTerm, LawRequirement};
 use crate::error::TraceError;
 use crate::method::fit::fit;
 use crate::method::hypothesis::{Hypothesis, SearchResult};
@@ -165,7 +165,7 @@ pub fn laws<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
 }
 
 /// What drives an explanation's terms: what their laws need of the session, and their columns.
-fn drivers<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<(usize, Vec<Need>, Option<String>)> {
+fn drivers<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<(usize, Vec<LawRequirement>, Option<String>)> {
     let driver = |t: &EffectTerm| {
         let effect = &model.catalogue()[t.effect];
         let column = effect.column(t.law, model.further_columns()).map(str::to_owned);
@@ -226,7 +226,7 @@ fn named<M: SessionModel>(
             class: class_of(e),
             p_value: removal_p(model, found, h, e),
             parameters: model.parameters(h, e),
-            sentence: model.worded(model.catalogue()[e].sentence()),
+            sentence: model.format_text(model.catalogue()[e].sentence()),
         })
         .collect()
 }
@@ -269,9 +269,8 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
     let other_driver = |h: &Hypothesis| ids(model, h) == names && drivers(model, h) != driven;
     let rivals = || {
         let all = found.survivors.iter().zip(&same).filter(|_| something);
-        let rival = |(h, of_class): &(&Hypothesis, &bool)| {
-            other_driver(h) || (!**of_class && ids(model, h) != names)
-        };
+        let rival =
+            |(h, of_class): &(&Hypothesis, &bool)| other_driver(h) || (!**of_class && ids(model, h) != names);
         all.filter(rival).map(|(h, _)| h)
     };
     let noise = model.noise_effect();
@@ -303,7 +302,7 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
         unknown: None,
         accepted: found.accepted().clone(),
     };
-    let left = covariate_wins || (found.last_test.rejected() && !model.excuses(found));
+    let left = covariate_wins || (found.last_test.rejected() && !model.residual_explained(found));
     let against_pure_error = model.lack_of_fit(&c.accepted);
     let p_lack_of_fit = against_pure_error.as_ref().map(|(l, _)| l.p_value);
     let lack = against_pure_error.filter(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
@@ -311,7 +310,10 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
         c.verdict = Verdict::Ambiguous;
         let mut names: Vec<String> = c.alternatives.iter().map(|a| a.join(" with ")).collect();
         if c.rivals.iter().any(other_driver) {
-            names = std::iter::once(&found.best).chain(&c.rivals).map(|h| laws(model, h).join(" with ")).collect();
+            names = std::iter::once(&found.best)
+                .chain(&c.rivals)
+                .map(|h| laws(model, h).join(" with "))
+                .collect();
         }
         c.reason = format!("The data ask for an effect but cannot decide between {}.", names.join("; "));
     } else if left || lack.is_some() {

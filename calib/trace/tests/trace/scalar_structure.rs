@@ -277,7 +277,13 @@ fn a_lattice_of_stimuli_does_not_tell_a_wave_over_time_from_one_over_the_stimulu
     for cycles in [1.4, 5.0, 5.3] {
         let wrong = share(8, |seed| {
             let d = with(seed, true, cycles);
-            println!("{cycles}: {:?} {} {:?} {:?}", d.verdict, d.reason, d.effects.iter().map(|e| (&e.laws, &e.parameters)).collect::<Vec<_>>(), d.notes);
+            println!(
+                "{cycles}: {:?} {} {:?} {:?}",
+                d.verdict,
+                d.reason,
+                d.effects.iter().map(|e| (&e.laws, &e.parameters)).collect::<Vec<_>>(),
+                d.notes
+            );
             sure_and_wrong(&d)
         });
         assert!(wrong == 0.0, "{cycles}: {wrong}");
@@ -285,7 +291,9 @@ fn a_lattice_of_stimuli_does_not_tell_a_wave_over_time_from_one_over_the_stimulu
     // In whole cycles both are the same to within a place, which is said.
     let said = share(8, |seed| {
         let d = with(seed, true, 5.0);
-        d.verdict == Verdict::Ambiguous && d.reason.contains("over-stimulus") && d.reason.contains("over-time")
+        d.verdict == Verdict::Ambiguous
+            && d.reason.contains("over-stimulus")
+            && d.reason.contains("over-time")
     });
     assert!(said >= 0.75, "{said}");
     // Control: in random order the period is one of time, with confidence.

@@ -21,7 +21,7 @@ pub struct DemoArgs {
     /// Folder for every result
     #[arg(long, value_name = "DIR", default_value = "demo-out")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Seed of every random draw

@@ -49,7 +49,7 @@ pub struct EvaluateArgs {
     /// Folder for evaluation.json and report.html
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Seed of the virtual bench and of the sweeps that are drawn on the spot

@@ -29,7 +29,7 @@ pub struct FitGprArgs {
     /// Folder for calibration.json, fit-gpr.json and report.html
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Where the moments come from [default: twin where the session has twin.csv, else rod]

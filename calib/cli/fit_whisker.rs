@@ -71,7 +71,7 @@ pub struct FitWhiskerArgs {
     /// Folder for whisker.toml and the MuJoCo model whisker.xml
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Print the result as JSON on stdout

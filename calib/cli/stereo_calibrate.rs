@@ -74,7 +74,7 @@ pub struct StereoCalibrateArgs {
     /// Folder for stereo.json and its exports
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Print stereo.json on stdout

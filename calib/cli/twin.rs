@@ -48,7 +48,7 @@ pub struct TwinArgs {
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
 }

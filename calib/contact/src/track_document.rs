@@ -162,6 +162,7 @@ pub struct ContactDocument {
     /// Degrees of freedom.
     pub dof: f64,
     /// Outliers.
+    #[serde(rename = "gross")]
     pub outlier: usize,
     /// Why moments and motion do not belong together.
     pub disagreement: Option<&'static str>,

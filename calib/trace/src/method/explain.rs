@@ -1,6 +1,6 @@
 //! Noise and explanation, each judged under the other: from the baseline fit to adequacy (docs/src/method.md).
 //!
-//! Noise that is correlated in time and an effect that is smooth in time take each other's place: whoever is asked first takes all. So the
+//! Noise that is correlated in time and an effect that is smooth in time take each other's place: the term fitted first absorbs the signal. So the
 //! search starts with independent readings; what it finds must then hold against the noise model that would take its place:
 //!
 //! ```text

@@ -27,8 +27,13 @@ const MOVING: &str = "format = \"wcal-plan/1\"\nname = \"moving\"\n[settle]\ngat
 
 /// Sweeps a scenario (`more` beyond format and rate) by a plan into `session`; what the program said.
 fn swept(folder: &Path, session: &str, plan: &str, more: &str) -> String {
+    swept_at(folder, session, plan, more, 500)
+}
+
+/// The same at a rate, which the rig must have, too.
+fn swept_at(folder: &Path, session: &str, plan: &str, more: &str, rate_hz: u32) -> String {
     let scenario = format!(
-        "format = \"wcal-scenario/1\"\n{more}\n[interrogator]\nrate_hz = 500\n[cameras]\ncount = 0\n"
+        "format = \"wcal-scenario/1\"\n{more}\n[interrogator]\nrate_hz = {rate_hz}\n[cameras]\ncount = 0\n"
     );
     std::fs::write(folder.join("scenario.toml"), scenario).unwrap();
     std::fs::write(folder.join("plan.toml"), plan).unwrap();
@@ -178,4 +183,29 @@ fn creep_is_as_large_as_it_is_when_rows_say_how_long_they_average() {
     }
     let (fraction, _) = found("unsaid");
     assert!(0.05 < fraction[0], "{fraction:?}");
+}
+
+/// Over the paper's two minutes a room that warms steadily and a drift look alike to within 5e-3: one name would be a matter of chance.
+#[test]
+fn a_drift_of_two_minutes_is_of_one_class_with_a_temperature_that_rises() {
+    let folder = bench();
+    let rig = std::fs::read_to_string(folder.path().join("rig.toml")).unwrap();
+    std::fs::write(folder.path().join("rig.toml"), rig.replace("rate_hz = 500.0", "rate_hz = 2000.0"))
+        .unwrap();
+    let found = |session: &str, swing: &str| {
+        let more = format!(
+            "seed = 246\n[temperature]\ndrift_degc_per_h = 0.3\n{swing}\n[effects]\nzero_drift_pm_per_min = 0.167"
+        );
+        swept_at(folder.path(), session, PAPER, &more, 2000);
+        let v = verified(folder.path(), session);
+        let class = v["effects"][0]["class"].as_array().cloned().unwrap_or_default();
+        let mut class: Vec<String> = class.iter().filter_map(|c| c.as_str().map(str::to_owned)).collect();
+        class.sort_unstable();
+        (v["verdict"].clone(), class)
+    };
+    let slow = found("slow", "swing_degc = 0.05\nswing_period_s = 600.0");
+    assert_eq!(slow, ("effect".into(), vec!["temperature-mismatch".to_owned(), "zero-drift".to_owned()]));
+    // Control: a temperature that goes up and down within the session tells the drift.
+    let fast = found("fast", "swing_degc = 0.05\nswing_period_s = 60.0");
+    assert_eq!(fast, ("effect".into(), vec!["zero-drift".to_owned()]));
 }

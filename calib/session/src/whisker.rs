@@ -285,7 +285,8 @@ fn read_row(
     let speed_mm_s = row.not_negative(columns.speed)?;
     // A settled row is the mean over a window that its times end: the mean is of its middle.
     let settled = speed_mm_s.is_none_or(|v| v == 0.0);
-    let half_s = row.not_negative(columns.average.filter(|_| settled))?.unwrap_or(0.0) / 2.0;
+    let average_s = row.not_negative(columns.average.filter(|_| settled))?;
+    let half_s = average_s.unwrap_or(0.0) / 2.0;
     Ok(WhiskerRow {
         source: row.file.to_owned(),
         line: row.line,
@@ -298,6 +299,7 @@ fn read_row(
         direction: row.sign(columns.direction)?,
         speed_mm_s,
         dwell_s: row.not_negative(columns.dwell)?.map(|end_s| (end_s - half_s).max(0.0)),
+        average_s,
         groove_mm,
         temperature_degc: row.temperature(columns.temperature)?,
         shift_pm,

@@ -125,24 +125,22 @@ pub fn cosine(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
     if size > 0.0 { a.dot(b) / size } else { 0.0 }
 }
 
-/// For every survivor: is it of the best one's class? What both explanations share (effects in common, whatever both leave unexplained) is
-/// projected off first: a large common effect makes any two look alike.
+/// Whether two explanations are of one class. What both share (effects in common, whatever both leave unexplained) is projected off first: a
+/// large common effect makes any two look alike.
+#[must_use]
+pub fn alike(system: &dyn MeasurementModel, base: &Hypothesis, best: &Hypothesis, h: &Hypothesis) -> bool {
+    let whole = explained(base, best);
+    let common = common_effects(system, base, best, h);
+    let (a, b) = (common.project_off(&whole), common.project_off(&explained(base, h)));
+    // Nothing of their own left: they are the same explanation.
+    let own = a.norm().max(b.norm());
+    own <= 1e-9 * whole.norm() || cosine(&a, &b).abs() > CLASS_COSINE
+}
+
+/// For every survivor: is it of the best one's class?
 #[must_use]
 pub fn in_class(system: &dyn MeasurementModel, found: &SearchResult) -> Vec<bool> {
-    let best = explained(&found.base, &found.best);
-    found
-        .survivors
-        .iter()
-        .map(|h| {
-            let common = common_effects(system, &found.base, &found.best, h);
-            let off = |v: &DVector<f64>| common.project_off(v);
-            let other = explained(&found.base, h);
-            let (a, b) = (off(&best), off(&other));
-            // Nothing of their own left: they are the same explanation.
-            let own = a.norm().max(b.norm());
-            own <= 1e-9 * best.norm() || cosine(&a, &b).abs() > CLASS_COSINE
-        })
-        .collect()
+    found.survivors.iter().map(|h| alike(system, &found.base, &found.best, h)).collect()
 }
 
 /// Directions in which the effects that two explanations share move the prediction, off the declared model: columns and tangents of `a`'s

@@ -185,9 +185,9 @@ fn creep_is_as_large_as_it_is_when_rows_say_how_long_they_average() {
     assert!(0.05 < fraction[0], "{fraction:?}");
 }
 
-/// Over the paper's two minutes a room that warms steadily and a drift look alike to within 5e-3: one name would be a matter of chance.
+/// Over the paper's two minutes a room that warms steadily and a drift look alike to within 1e-2: one name would be a matter of chance.
 #[test]
-fn a_drift_of_two_minutes_is_of_one_class_with_a_temperature_that_rises() {
+fn a_drift_of_two_minutes_is_not_told_from_a_temperature_that_rises() {
     let folder = bench();
     let rig = std::fs::read_to_string(folder.path().join("rig.toml")).unwrap();
     std::fs::write(folder.path().join("rig.toml"), rig.replace("rate_hz = 500.0", "rate_hz = 2000.0"))
@@ -198,14 +198,14 @@ fn a_drift_of_two_minutes_is_of_one_class_with_a_temperature_that_rises() {
         );
         swept_at(folder.path(), session, PAPER, &more, 2000);
         let v = verified(folder.path(), session);
-        let class = v["effects"][0]["class"].as_array().cloned().unwrap_or_default();
-        let mut class: Vec<String> = class.iter().filter_map(|c| c.as_str().map(str::to_owned)).collect();
-        class.sort_unstable();
-        (v["verdict"].clone(), class)
+        let mut told: Vec<String> =
+            v["alternatives"].as_array().unwrap().iter().map(Value::to_string).collect();
+        told.sort_unstable();
+        (v["verdict"].clone(), told.concat())
     };
     let slow = found("slow", "swing_degc = 0.05\nswing_period_s = 600.0");
-    assert_eq!(slow, ("effect".into(), vec!["temperature-mismatch".to_owned(), "zero-drift".to_owned()]));
+    assert_eq!(slow, ("ambiguous".into(), r#"["temperature-mismatch"]["zero-drift"]"#.to_owned()));
     // Control: a temperature that goes up and down within the session tells the drift.
     let fast = found("fast", "swing_degc = 0.05\nswing_period_s = 60.0");
-    assert_eq!(fast, ("effect".into(), vec!["zero-drift".to_owned()]));
+    assert_eq!(fast, ("effect".into(), r#"["zero-drift"]"#.to_owned()));
 }

@@ -3,7 +3,7 @@
 use super::ambiguity::compared;
 use super::fit::{Fit, Weights, fit};
 use super::hypothesis::{AMBIGUITY_LEVEL, Evidence, Hypothesis, NotIdentified, SearchResult};
-use super::inference::alike;
+use super::inference::not_told;
 use super::lasso::group_lasso;
 use super::min_p::f_test;
 use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
@@ -20,10 +20,6 @@ use std::collections::BTreeMap;
 
 /// Refits tried at each size.
 const REFITS: usize = 7;
-
-/// A member of the best explanation's class falls behind by less than this in the criterion: columns that are measured themselves (a temperature
-/// that rises steadily, beside the time) are not exact, and what their errors give is no decision.
-const SAME_CLASS_BEHIND: f64 = 20.0;
 
 fn outlier_index(system: &dyn MeasurementModel) -> Option<usize> {
     system.outliers().filter(|&e| system.not_observable(e).is_none())
@@ -209,10 +205,7 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
     let survivors: Vec<Hypothesis> = final_level
         .iter()
         .zip(&p_values)
-        .filter(|(h, p)| {
-            let of_class = || behind(h) < SAME_CLASS_BEHIND && alike(system, &base, &best, h);
-            **p >= AMBIGUITY_LEVEL || of_class()
-        })
+        .filter(|(h, p)| **p >= AMBIGUITY_LEVEL || not_told(system, &base, &best, h, behind(h)))
         .map(|(h, _)| h.clone())
         .collect();
     let evidence = final_level

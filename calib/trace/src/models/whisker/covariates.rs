@@ -2,15 +2,14 @@
 //!
 //! ```text
 //! largest moment   max over s <= t of |m(s)|                  what has yielded keeps the set of it
-//! rate             (T - z) / tau,   z' = (T - z) / tau        of a part that lags behind the gratings; small tau: dT/dt
+//! rate             (T(t + s) - T(t - s)) / 2 s, now or s earlier: a part that lags behind the gratings follows it
 //! ```
 
-use super::effects::creep::relax;
 use super::path::Reading;
 use super::system::WhiskerSystem;
 
-/// Time constants by which a part may lag behind, s: as far as a bench shows.
-const LAGS_S: [f64; 4] = [10.0, 30.0, 100.0, 300.0];
+/// Readings on each side between which a rate is taken: few for a fast room, many for a noisy thermometer; and readings before.
+const SIDES: [[usize; 2]; 5] = [[3, 0], [10, 0], [10, 10], [30, 0], [30, 30]];
 
 /// The columns, by name; a name may have several.
 pub(super) fn covariates(system: &WhiskerSystem) -> Vec<(String, Vec<f64>)> {
@@ -40,7 +39,7 @@ pub(super) fn covariates(system: &WhiskerSystem) -> Vec<(String, Vec<f64>)> {
         add("temperature_degc", column(&|r| r.temperature_loo_degc));
     }
     if path.columns.temperature && path.columns.time {
-        LAGS_S.into_iter().for_each(|lag_s| add("temperature_rate_degc_s", behind(r, lag_s)));
+        SIDES.into_iter().for_each(|s| add("temperature_rate_degc_s", rates(r, s)));
     }
     if path.columns.both_directions {
         add("direction", column(&|r| if r.rest { 0.0 } else { r.direction }));
@@ -54,14 +53,14 @@ pub(super) fn covariates(system: &WhiskerSystem) -> Vec<(String, Vec<f64>)> {
     out
 }
 
-/// How far a part with a time constant is behind the gratings' temperature, over that constant.
-fn behind(readings: &[Reading], lag_s: f64) -> Vec<f64> {
-    let mut last: Option<(f64, f64, f64)> = None;
-    let of = |r: &Reading| {
-        let now = r.temperature_loo_degc;
-        let own = last.map_or(now, |(t_s, then, own)| relax(own, then, now, r.t_s - t_s, lag_s));
-        last = Some((r.t_s, now, own));
-        (now - own) / lag_s
+/// Rate of the temperature, deg C/s, over `side` readings on both sides of the one `before` each: what a reading's own noise has in them cancels.
+fn rates(readings: &[Reading], [side, before]: [usize; 2]) -> Vec<f64> {
+    let last = readings.len() - 1;
+    let rate = |i: usize| {
+        let (a, b) = (i.saturating_sub(before + side), (i + side).saturating_sub(before).min(last));
+        let (a, b) = (&readings[a], &readings[b]);
+        let dt_s = b.t_s - a.t_s;
+        if dt_s > 0.0 { (b.temperature_loo_degc - a.temperature_loo_degc) / dt_s } else { 0.0 }
     };
-    readings.iter().map(of).collect()
+    (0..readings.len()).map(rate).collect()
 }

@@ -4,7 +4,7 @@ mod base_compliance;
 mod board_scale;
 mod camera_pose;
 mod contact_offset;
-pub(crate) mod creep;
+mod creep;
 mod dead_zone;
 mod fbg_nonlinearity;
 mod fluid_drag;

@@ -27,8 +27,13 @@ const MOVING: &str = "format = \"wcal-plan/1\"\nname = \"moving\"\n[settle]\ngat
 
 /// Sweeps a scenario (`more` beyond format and rate) by a plan into `session`; what the program said.
 fn swept(folder: &Path, session: &str, plan: &str, more: &str) -> String {
+    swept_at(folder, session, plan, more, 500)
+}
+
+/// The same at a rate, which the rig must have, too.
+fn swept_at(folder: &Path, session: &str, plan: &str, more: &str, rate_hz: u32) -> String {
     let scenario = format!(
-        "format = \"wcal-scenario/1\"\n{more}\n[interrogator]\nrate_hz = 500\n[cameras]\ncount = 0\n"
+        "format = \"wcal-scenario/1\"\n{more}\n[interrogator]\nrate_hz = {rate_hz}\n[cameras]\ncount = 0\n"
     );
     std::fs::write(folder.join("scenario.toml"), scenario).unwrap();
     std::fs::write(folder.join("plan.toml"), plan).unwrap();
@@ -154,4 +159,53 @@ fn a_lag_beside_play_is_as_long_as_it_is() {
     swept(folder.path(), "play", MOVING, "seed = 35\n[effects]\nbacklash_um = 19");
     let v = verified(folder.path(), "play");
     assert_eq!((&v["verdict"], names(&v)), (&"effect".into(), vec!["stage-backlash"]), "{}", v["reason"]);
+}
+
+/// A settled row's time is the end of its averaging window, its mean is of the window's middle: of a creep of eight seconds half a second is 6 %.
+#[test]
+fn creep_is_as_large_as_it_is_when_rows_say_how_long_they_average() {
+    let folder = bench();
+    swept(folder.path(), "creep", MOVING, "seed = 36\n[effects]\ncreep_fraction = 0.05\ncreep_s = 8");
+    let found = |session: &str| {
+        let v = verified(folder.path(), session);
+        assert_eq!((&v["verdict"], names(&v)), (&"effect".into(), vec!["creep"]), "{}", v["reason"]);
+        (interval(&v, "creep", "creep_fraction"), interval(&v, "creep", "time_constant_s"))
+    };
+    let (fraction, constant) = found("creep");
+    assert!(fraction[0] < 0.05 && 0.05 < fraction[1] && fraction[1] - fraction[0] < 0.003, "{fraction:?}");
+    assert!(constant[0] < 8.0 && 8.0 < constant[1] && constant[1] - constant[0] < 0.8, "{constant:?}");
+    // Control: without the windows' lengths the interval misses.
+    std::fs::create_dir(folder.path().join("unsaid")).unwrap();
+    for file in ["session.toml", "points.csv", "holdout.csv"] {
+        let Ok(text) = std::fs::read_to_string(folder.path().join("creep").join(file)) else { continue };
+        let unsaid = text.replacen("average_s", "note", 1);
+        std::fs::write(folder.path().join("unsaid").join(file), unsaid).unwrap();
+    }
+    let (fraction, _) = found("unsaid");
+    assert!(0.05 < fraction[0], "{fraction:?}");
+}
+
+/// Over the paper's two minutes a room that warms steadily and a drift look alike to within 1e-2: one name would be a matter of chance.
+#[test]
+fn a_drift_of_two_minutes_is_not_told_from_a_temperature_that_rises() {
+    let folder = bench();
+    let rig = std::fs::read_to_string(folder.path().join("rig.toml")).unwrap();
+    std::fs::write(folder.path().join("rig.toml"), rig.replace("rate_hz = 500.0", "rate_hz = 2000.0"))
+        .unwrap();
+    let found = |session: &str, swing: &str| {
+        let more = format!(
+            "seed = 246\n[temperature]\ndrift_degc_per_h = 0.3\n{swing}\n[effects]\nzero_drift_pm_per_min = 0.167"
+        );
+        swept_at(folder.path(), session, PAPER, &more, 2000);
+        let v = verified(folder.path(), session);
+        let mut told: Vec<String> =
+            v["alternatives"].as_array().unwrap().iter().map(Value::to_string).collect();
+        told.sort_unstable();
+        (v["verdict"].clone(), told.concat())
+    };
+    let slow = found("slow", "swing_degc = 0.05\nswing_period_s = 600.0");
+    assert_eq!(slow, ("ambiguous".into(), r#"["temperature-mismatch"]["zero-drift"]"#.to_owned()));
+    // Control: a temperature that goes up and down within the session tells the drift.
+    let fast = found("fast", "swing_degc = 0.05\nswing_period_s = 60.0");
+    assert_eq!(fast, ("effect".into(), r#"["zero-drift"]"#.to_owned()));
 }

@@ -99,18 +99,34 @@ fn only_a_surviving_explanation_can_be_accepted_and_predict_uses_it() {
     let file: Value =
         serde_json::from_slice(&std::fs::read(&calibration).expect("calibration")).expect("json");
     assert_eq!(file["model"]["effects"][0]["id"], "groove-friction");
+    let predict = |table: &Path, csv: &Path| {
+        let mut run = program();
+        run.arg("predict").arg(table).arg("--calibration").arg(&calibration).arg("--out").arg(csv);
+        run.output().expect("wcal runs")
+    };
     let csv = out.path().join("moments.csv");
-    let predicted = program()
-        .arg("predict")
-        .arg(session.join("holdout.csv"))
-        .arg("--calibration")
-        .arg(&calibration)
-        .arg("--out")
-        .arg(&csv)
-        .output()
-        .expect("wcal runs");
+    let predicted = predict(&session.join("holdout.csv"), &csv);
     assert_eq!(predicted.status.code(), Some(0), "{}", String::from_utf8_lossy(&predicted.stderr));
     assert!(std::fs::read_to_string(&csv).expect("csv").lines().count() > 10);
+
+    // The same readings with a grating that stays as it was in the first of them: the moments are there, and not verified.
+    let text = std::fs::read_to_string(session.join("holdout.csv")).expect("holdout");
+    let rows: Vec<Vec<&str>> = text.lines().map(|l| l.split(',').collect()).collect();
+    let column = rows[0].iter().position(|c| *c == "fbg_1_nm").expect("column");
+    let stuck: String = rows
+        .iter()
+        .enumerate()
+        .map(|(k, row)| {
+            let mut row = row.clone();
+            row[column] = if k == 0 { row[column] } else { rows[1][column] };
+            row.join(",") + "\n"
+        })
+        .collect();
+    let table = out.path().join("stuck.csv");
+    std::fs::write(&table, stuck).expect("written");
+    let refused = predict(&table, &out.path().join("stuck-moments.csv"));
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(refused.status.code() == Some(4) && said.contains("fbg_1 reads the same"), "{said}");
 
     // Negative control: what the data reject is not accepted, and nothing is written.
     let (run, v, out) = verify(&session, &["--accept", "creep"]);

@@ -352,6 +352,7 @@ fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_
         direction: event.direction,
         speed_mm_s,
         dwell_s: if moving { 0.0 } else { window.end_s - event.arrived_s },
+        average_s: (!moving).then_some(window.end_s - window.begin_s),
         groove_mm: rig.trajectory(event.trajectory).filter(|_| loaded).map(|t| t.groove_mm(stage_mm)),
         settled: event.settled || moving,
         stream: Stream::Whole,

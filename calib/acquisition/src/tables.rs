@@ -11,7 +11,7 @@ use toml::{Table, Value};
 use wcal_session::SIMULATED_COLUMN;
 
 /// Columns of points.csv and holdout.csv.
-const COLUMNS: [&str; 20] = [
+const COLUMNS: [&str; 21] = [
     "point",
     "role",
     "trajectory",
@@ -31,6 +31,7 @@ const COLUMNS: [&str; 20] = [
     "fbg_1_sd_pm",
     "fbg_2_sd_pm",
     "samples",
+    "average_s",
     "stream",
 ];
 /// Columns of compensation.csv: shifts with temperature taken out, and the uncertainty of the mean.
@@ -84,6 +85,8 @@ pub struct Row {
     pub speed_mm_s: f64,
     /// Time since arrival, s.
     pub dwell_s: f64,
+    /// Length of the averaging window of a settled row, s: its times are the window's end.
+    pub average_s: Option<f64>,
     /// Groove centre, base frame; absent without contact.
     pub groove_mm: Option<Vector3<f64>>,
     /// Whether the drift gate opened.
@@ -172,6 +175,7 @@ fn table(rows: &[&Row], simulated: bool) -> Result<Vec<u8>, AcquisitionError> {
                 format!("{:.4}", row.mean.sensing_sd_pm[0]),
                 format!("{:.4}", row.mean.sensing_sd_pm[1]),
                 row.mean.samples.to_string(),
+                row.average_s.map_or(String::new(), |s| format!("{s:.4}")),
                 row.stream.word().to_owned(),
             ];
             out.write_record(fields.into_iter().chain(simulated.then(|| "1".to_owned())))?;

@@ -325,6 +325,8 @@ pub struct WhiskerRow {
     pub speed_mm_s: Option<f64>,
     /// Time since arrival, s.
     pub dwell_s: Option<f64>,
+    /// Length of the averaging window of a settled reading, s: `t_s` and `dwell_s` are those of its middle.
+    pub average_s: Option<f64>,
     /// Centre of the wire when it sits in the vertex, mm, base frame.
     pub groove_mm: Option<Vector3<f64>>,
     /// Temperature from its own sensor, deg C.

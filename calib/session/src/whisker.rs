@@ -63,6 +63,7 @@ struct Columns {
     temperature: Option<Column>,
     sd: [Option<Column>; 2],
     samples: Option<Column>,
+    average: Option<Column>,
     stream: Option<Column>,
 }
 
@@ -85,7 +86,7 @@ enum Wavelengths {
 
 /// Columns of a whisker's table in the order of the reference: those that an import takes by their names, and a recorded session has with
 /// `stream` after them.
-pub const WHISKER_COLUMNS: [&str; 22] = [
+pub const WHISKER_COLUMNS: [&str; 23] = [
     "point",
     "role",
     "trajectory",
@@ -108,6 +109,7 @@ pub const WHISKER_COLUMNS: [&str; 22] = [
     "fbg_1_sd_pm",
     "fbg_2_sd_pm",
     "samples",
+    "average_s",
 ];
 
 fn find_columns(
@@ -142,6 +144,7 @@ fn find_columns(
         temperature: table.optional("temperature_degc")?,
         sd: [table.optional("fbg_1_sd_pm")?, table.optional("fbg_2_sd_pm")?],
         samples: table.optional("samples")?,
+        average: table.optional("average_s")?,
         // A free table may use the word for something else.
         stream: if in_session { table.optional("stream")? } else { None },
     })
@@ -280,6 +283,11 @@ fn read_row(
     }
     let (shift_pm, reference_shift_pm) = shifts(row, &columns.fbg, fbg)?;
     let sd = [row.not_negative(columns.sd[0])?, row.not_negative(columns.sd[1])?];
+    let speed_mm_s = row.not_negative(columns.speed)?;
+    // A settled row is the mean over a window that its times end: the mean is of its middle.
+    let settled = speed_mm_s.is_none_or(|v| v == 0.0);
+    let average_s = row.not_negative(columns.average.filter(|_| settled))?;
+    let half_s = average_s.unwrap_or(0.0) / 2.0;
     Ok(WhiskerRow {
         source: row.file.to_owned(),
         line: row.line,
@@ -287,11 +295,12 @@ fn read_row(
         role,
         trajectory,
         replicate: row.count(columns.replicate, 0)?,
-        t_s: row.number(columns.t_s)?,
+        t_s: row.number(columns.t_s)?.map(|end_s| end_s - half_s),
         stage_mm: row.number(columns.stage)?,
         direction: row.sign(columns.direction)?,
-        speed_mm_s: row.not_negative(columns.speed)?,
-        dwell_s: row.not_negative(columns.dwell)?,
+        speed_mm_s,
+        dwell_s: row.not_negative(columns.dwell)?.map(|end_s| (end_s - half_s).max(0.0)),
+        average_s,
         groove_mm,
         temperature_degc: row.temperature(columns.temperature)?,
         shift_pm,

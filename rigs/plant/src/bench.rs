@@ -44,6 +44,18 @@ impl Thermal {
         let tau = std::f64::consts::TAU;
         self.waves.iter().map(|[a, p, f]| a * ((tau * t_s / p + f).sin() - f.sin())).sum()
     }
+
+    /// The same of a part that lags behind with a time constant, deg C: z' = (T - z) / lag, z(0) = 0.
+    pub fn behind(&self, t_s: f64, lag_s: f64) -> f64 {
+        // Each wave passes with gain cos(e) and phase -e, tan(e) = w lag; what its start left decays.
+        let (tau, decay) = (std::f64::consts::TAU, (-t_s / lag_s).exp());
+        let one = |[a, p, f]: &[f64; 3]| {
+            let e = (tau * lag_s / p).atan();
+            let steady = |t: f64| e.cos() * (tau * t / p + f - e).sin() - f.sin();
+            a * (steady(t_s) - steady(0.0) * decay)
+        };
+        self.waves.iter().map(one).sum()
+    }
 }
 
 /// Everything that is drawn per session and is no effect.

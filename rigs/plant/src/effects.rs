@@ -51,12 +51,15 @@ pub enum Kind {
     UnknownQuadraticDrift,
     UnknownDirectionSign,
     UnknownDepthKink,
+    UnknownPermanentSet,
+    UnknownRipple,
+    UnknownTemperatureGradient,
 }
 
 use Kind::*;
 
 /// Every law, catalogue first.
-pub const ALL: [Kind; 41] = [
+pub const ALL: [Kind; 44] = [
     FrictionCoulomb,
     FrictionPresliding,
     FrictionStribeck,
@@ -98,6 +101,9 @@ pub const ALL: [Kind; 41] = [
     UnknownQuadraticDrift,
     UnknownDirectionSign,
     UnknownDepthKink,
+    UnknownPermanentSet,
+    UnknownRipple,
+    UnknownTemperatureGradient,
 ];
 
 /// How an effect's size grows with its amplitude, and the amplitude's physical range.
@@ -154,6 +160,9 @@ impl Kind {
             UnknownQuadraticDrift => ("unknown", "quadratic-drift"),
             UnknownDirectionSign => ("unknown", "direction-sign"),
             UnknownDepthKink => ("unknown", "depth-kink"),
+            UnknownPermanentSet => ("unknown", "permanent-set"),
+            UnknownRipple => ("unknown", "ripple"),
+            UnknownTemperatureGradient => ("unknown", "temperature-gradient"),
         }
     }
 
@@ -173,6 +182,9 @@ impl Kind {
             UnknownQuadraticDrift => (&["t_s", "time", "order", "point"], "quadratic"),
             UnknownDirectionSign => (&["direction"], "sign"),
             UnknownDepthKink => (&["stage_mm", "depth", "depth_mm", "stage"], "dead-zone"),
+            UnknownPermanentSet => (&["largest_moment_nmm"], "dead-zone"),
+            UnknownRipple => (&["fbg_1_pm", "fbg_2_pm"], "sinusoid"),
+            UnknownTemperatureGradient => (&["temperature_rate_degc_s"], "linear"),
             _ => return None,
         })
     }
@@ -200,6 +212,9 @@ impl Kind {
             SlipOutliers => (0.02, 0.6),
             UnknownSineTime | UnknownStepTime | UnknownDirectionSign | UnknownDepthKink => (0.05, 40.0),
             UnknownExponentialTime | UnknownQuadraticDrift => (0.05, 80.0),
+            UnknownPermanentSet => (1e-3, 0.5),
+            UnknownRipple => (0.05, 40.0),
+            UnknownTemperatureGradient => (0.05, 200.0),
             UnknownTrajectoryGain => (1e-4, 0.3),
             UnknownTemperatureGain => (1e-4, 0.2),
         };
@@ -299,6 +314,14 @@ impl Effect {
             UnknownQuadraticDrift => [unit(rng, 2), vec![end_s, rng.random_range(0.3..0.7)]].concat(),
             UnknownDirectionSign => unit(rng, 2),
             UnknownDepthKink => [unit(rng, 2), vec![rng.random_range(0.35..0.65)]].concat(),
+            // Onset as a share of the largest moment.
+            UnknownPermanentSet => vec![rng.random_range(0.3..0.6)],
+            // Pitch, pm, and phase of each channel.
+            UnknownRipple => {
+                vec![rng.random_range(60.0..200.0), rng.random_range(0.0..tau), rng.random_range(0.0..tau)]
+            }
+            // Time constant by which the mount lags behind the wire, s.
+            UnknownTemperatureGradient => [unit(rng, 2), vec![rng.random_range(30.0..150.0)]].concat(),
             _ => Vec::new(),
         };
         let range = kind.range();

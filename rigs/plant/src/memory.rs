@@ -1,4 +1,4 @@
-//! Effects between the rod's moment and the sensor that remember: lag, hysteresis, dead zone, creep.
+//! Effects between the rod's moment and the sensor that remember: lag, hysteresis, dead zone, creep, permanent set.
 
 use crate::effects::{Effect, Kind};
 use crate::layout::Instant;
@@ -86,6 +86,21 @@ fn vector_play(m: &[M], radius: f64) -> Vec<M> {
         .collect()
 }
 
+/// Plastic bending with full hardening: past the onset each new largest moment leaves its rise behind, in its own direction.
+fn set(m: &[M], onset: f64) -> Vec<M> {
+    let (mut left, mut largest) = ([0.0; 2], onset);
+    m.iter()
+        .map(|m| {
+            let size = m[0].hypot(m[1]);
+            if size > largest {
+                left = [0, 1].map(|c| left[c] + (size - largest) * m[c] / size);
+                largest = size;
+            }
+            left
+        })
+        .collect()
+}
+
 /// Bouc-Wen state per component, saturating at +-1: dz = dm/width (1 - |z| (beta sign(dm z) + 1 - beta)).
 fn bouc_wen(m: &[M], width: f64, beta: f64) -> Vec<M> {
     let (mut z, mut before) = ([0.0_f64; 2], [0.0; 2]);
@@ -157,6 +172,11 @@ pub fn apply(effect: &Effect, motion: &[Instant], mut m: Vec<M>) -> Vec<M> {
         }
         Kind::DeadZoneComponent => {
             m.iter_mut().for_each(|m| *m = m.map(|v| v.signum() * (v.abs() - a).max(0.0)));
+            m
+        }
+        Kind::UnknownPermanentSet => {
+            let z = set(&m, s[0] * range);
+            add(&mut m, &z, a);
             m
         }
         _ => m,

@@ -276,6 +276,8 @@ impl Plant {
                 (r.commanded_mm / self.trajectories[r.trajectory].reach_mm - s[2]).max(0.0) / (1.0 - s[2]),
             ),
             Kind::UnknownTrajectoryGain => k.map(|k| a * s[r.trajectory] * k),
+            Kind::UnknownRipple => [0, 1].map(|c| a * (std::f64::consts::TAU * k[c] / s[0] + s[1 + c]).sin()),
+            Kind::UnknownTemperatureGradient => both(warm - self.bench.thermal.behind(r.t_s, s[2])),
             Kind::UnknownTemperatureGain => k.map(|k| a * warm * k),
             _ => [0.0; 2],
         }

@@ -111,10 +111,29 @@ fn rows_whose_scans_are_missing_or_late_are_marked_and_said() {
         .expect("session.toml")
         .parse()
         .expect("TOML");
+    // Each window is a second long, and its mean is of its middle.
+    assert_eq!(column(folder.path(), "average_s"), ["1.0000"; 4]);
     let stream = &session["devices"]["stream"];
     assert_eq!((&stream["lost_scans"], &stream["late_scans"]), (&34.into(), &200.into()));
     assert_eq!(stream["warnings"].as_array().map(Vec::len), Some(3), "{stream}");
     let loaded = wcal_session::load(folder.path()).expect("loads");
+    let own_s = |loaded: &wcal_session::LoadedSession| {
+        let wcal_core::observation::SessionData::Whisker(data) = &loaded.data else {
+            unreachable!("a whisker")
+        };
+        let own = |r: &wcal_core::observation::WhiskerRow| (r.t_s.expect("s"), r.dwell_s.expect("s"));
+        data.rows.iter().map(own).collect::<Vec<_>>()
+    };
+    let written = |name: &str| -> Vec<f64> {
+        column(folder.path(), name).iter().map(|s| s.parse().expect("s")).collect()
+    };
+    let written: Vec<(f64, f64)> = written("t_s").into_iter().zip(written("dwell_s")).collect();
+    assert_eq!(own_s(&loaded), written.iter().map(|(t, d)| (t - 0.5, d - 0.5)).collect::<Vec<_>>());
+    // Control: a row in motion has its time already.
+    let points = folder.path().join("points.csv");
+    let table = std::fs::read_to_string(&points).expect("points.csv");
+    std::fs::write(&points, table.replace(",0.0000,2.0000,", ",1.0000,2.0000,")).expect("written");
+    assert_eq!(own_s(&wcal_session::load(folder.path()).expect("loads")), written);
     for expected in ["points 1: scans are missing in the averaging window", "points 2: scans came late"] {
         assert!(
             loaded.warnings.iter().any(|w| w.to_string().contains(expected)),

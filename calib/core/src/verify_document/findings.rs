@@ -39,6 +39,9 @@ pub struct EffectParameter {
 pub struct NamedEffect {
     /// Identifier of docs/src/formats.md.
     pub id: String,
+    /// Law by which each of its terms acts, in the catalogue's words.
+    #[serde(default)]
+    pub laws: Vec<String>,
     /// Effects that this data cannot distinguish from it, itself included.
     pub class: Vec<String>,
     /// p-value adjusted for the whole catalogue.

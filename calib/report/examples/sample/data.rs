@@ -38,6 +38,7 @@ pub fn transducer() -> ReportInput {
     verify.reason = "The response curves: a quadratic term was missing, and nothing is left once it is added (nested leave-one-out).".into();
     verify.effects = vec![NamedEffect {
         id: "nonlinearity-quadratic".into(),
+        laws: vec!["power-2".into()],
         class: vec!["nonlinearity-quadratic".into()],
         p_value: 1e-9,
         parameters: vec![parameter("b2", -3.16e-15, "1/kN^2", [-3.26e-15, -3.06e-15])],

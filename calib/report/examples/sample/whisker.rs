@@ -20,6 +20,7 @@ pub fn whisker() -> ReportInput {
     ];
     verify.effects = vec![NamedEffect {
         id: "groove-friction".into(),
+        laws: vec!["coulomb".into()],
         class: vec!["groove-friction".into()],
         p_value: 0.0005,
         parameters: vec![

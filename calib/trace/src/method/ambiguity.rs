@@ -6,7 +6,12 @@
 
 use super::hypothesis::{AMBIGUITY_LEVEL, Hypothesis};
 use super::linear::Basis;
+use super::options::Options;
+use super::progress::progress;
+use super::refine::refit;
 use super::signature::nuisance;
+use crate::effect::EffectTerm;
+use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_distr::{ChiSquared, Distribution, StandardNormal};
@@ -58,6 +63,48 @@ pub fn cox_test(best: &Hypothesis, rival: &Hypothesis, variance: f64, draws: usi
     }
     // Never 0: the draws cannot show less than one in their number.
     (reached + 1) as f64 / (draws + 1) as f64
+}
+
+/// Rivals that were rejected and are refitted once more, the best first.
+const REFITTED: usize = 7;
+
+/// Chance of each explanation of `level`, the first being `best`, to fall as far behind were it true; what fits better from the best one's values
+/// takes its own place.
+#[must_use]
+pub fn compared(
+    system: &dyn MeasurementModel,
+    best: &Hypothesis,
+    level: &mut [Hypothesis],
+    options: &Options,
+) -> Vec<f64> {
+    let (variance, count) = (best.fit.variance(), level.len() as f64);
+    let one = |(k, h): (usize, &mut Hypothesis)| {
+        progress("comparing explanations", k as f64 / count);
+        let p = |h: &Hypothesis| cox_test(best, h, variance, options.draws, options.seed + k as u64);
+        match p(h) {
+            _ if k == 0 => 1.0,
+            rejected if rejected < AMBIGUITY_LEVEL && k <= REFITTED => {
+                let Some(nearer) = from_shared_values(system, h, best) else { return rejected };
+                *h = nearer;
+                p(h)
+            }
+            p => p,
+        }
+    };
+    level.iter_mut().enumerate().map(one).collect()
+}
+
+/// A rival refitted from the best explanation's values of the terms that both have, where it then fits better: a period has many minima, and a
+/// rival that stays in another one is rejected for that alone.
+fn from_shared_values(
+    system: &dyn MeasurementModel,
+    h: &Hypothesis,
+    best: &Hypothesis,
+) -> Option<Hypothesis> {
+    let shared = |t: &EffectTerm| best.fit.terms.iter().find(|b| (b.effect, b.law) == (t.effect, t.law));
+    let terms: Vec<EffectTerm> = h.fit.terms.iter().map(|t| shared(t).unwrap_or(t).clone()).collect();
+    let start = (terms != h.fit.terms).then_some(terms)?;
+    refit(system, &[start], h).filter(|nearer| nearer.acceptable(system) && nearer.fit.ssr < h.fit.ssr)
 }
 
 /// Chance that readings of noncentrality `lambda` (in variances) between two explanations reject the wrong one, the other true.

@@ -5,7 +5,7 @@ use super::linear::Basis;
 use super::signature::{Signature, build};
 use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 /// A generic signature: the residual varies with a covariate in a certain shape (`unknown` of verify.json).
 #[derive(Debug, Clone)]
@@ -41,8 +41,40 @@ impl CovariateBuilder<'_> {
             let weighted = self.weights.apply_to(column);
             raw.extend((0..self.channels).map(|c| self.fit.in_channel(&weighted, c)));
         }
+        self.add_raw(covariate, shape, period, columns, &raw);
+    }
+
+    /// Waves of one period over each wavelength, each in its own alone: an interferometer's error repeats with what it reads. `to_channels` makes
+    /// channels of the fit of wavelengths.
+    fn add_ripple(&mut self, wavelengths_pm: &[Vec<f64>], period_pm: f64, to_channels: &DMatrix<f64>) {
+        let spans: Vec<f64> = wavelengths_pm.iter().map(|v| range(v)[1]).collect();
+        let (mut raw, mut of_widest) = (Vec::new(), Vec::new());
+        let widest = (0..spans.len()).max_by(|&a, &b| spans[a].total_cmp(&spans[b])).unwrap_or(0);
+        for (k, wavelength) in wavelengths_pm.iter().enumerate() {
+            for wave in [f64::sin as fn(f64) -> f64, f64::cos] {
+                let column: Vec<f64> =
+                    wavelength.iter().map(|v| wave(std::f64::consts::TAU * v / period_pm)).collect();
+                let weighted = self.weights.apply_to(&column);
+                let part = |c: usize| self.fit.in_channel(&weighted, c) * to_channels[(k, c)];
+                raw.push((1..self.channels).fold(part(0), |sum, c| sum + part(c)));
+                if k == widest {
+                    of_widest.push(column);
+                }
+            }
+        }
+        self.add_raw(&format!("fbg_{}_pm", widest + 1), "sinusoid", Some(period_pm), &of_widest, &raw);
+    }
+
+    fn add_raw(
+        &mut self,
+        covariate: &str,
+        shape: &'static str,
+        period: Option<f64>,
+        columns: &[Vec<f64>],
+        raw: &[DVector<f64>],
+    ) {
         let term = EffectTerm { effect: GENERIC, law: 0, values: Vec::new() };
-        if let Some(signature) = build(term, Vec::new(), false, &raw, self.nuisance) {
+        if let Some(signature) = build(term, Vec::new(), false, raw, self.nuisance) {
             let columns = columns.to_vec();
             self.out.push(CovariateSignature {
                 covariate: covariate.to_owned(),
@@ -53,6 +85,13 @@ impl CovariateBuilder<'_> {
             });
         }
     }
+}
+
+/// Lowest value and span.
+fn range(values: &[f64]) -> [f64; 2] {
+    let (low, high) =
+        values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
+    [low, high - low]
 }
 
 fn quantiles(values: &[f64], count: usize) -> Vec<f64> {
@@ -71,6 +110,9 @@ fn quantiles(values: &[f64], count: usize) -> Vec<f64> {
 fn is_clock(name: &str) -> bool {
     matches!(name, "t_s" | "order" | "temperature_degc" | "stimulus" | "commanded_mm")
 }
+
+/// Most half cycles of a ripple over the wider wavelength's range.
+const RIPPLE_HALF_CYCLES: u32 = 48;
 
 /// Most cycles over a column's range that are tried.
 const MAX_CYCLES: f64 = 30.0;
@@ -96,22 +138,22 @@ pub fn signatures_of_covariates(
 ) -> Vec<CovariateSignature> {
     let channels = fit.residual.ncols();
     let mut maker = CovariateBuilder { channels, fit, weights, nuisance, out: Vec::new() };
-    let mut covariates = system.covariates();
-    if channels > 1 {
+    let covariates = system.covariates();
+    if let Some(to_channels) = system.channels_pm().try_inverse().filter(|_| channels > 1) {
         // Wavelengths as the model has them: measured ones carry the very noise that is tested.
         let fitted = (system.measured() - &fit.raw_residual) * system.channels_pm();
-        covariates.extend(
-            (0..channels).map(|c| (format!("fbg_{}_pm", c + 1), fitted.column(c).iter().copied().collect())),
-        );
+        let wavelengths: Vec<Vec<f64>> = fitted.column_iter().map(|c| c.iter().copied().collect()).collect();
+        let widest = wavelengths.iter().map(|v| range(v)[1]).fold(0.0, f64::max);
+        for half in (3..=RIPPLE_HALF_CYCLES).filter(|_| widest > 0.0) {
+            maker.add_ripple(&wavelengths, widest / (0.5 * f64::from(half)), &to_channels);
+        }
     }
     // Columns after the constant carry the signal; gains act on them.
     let signal: Vec<Vec<f64>> =
         (1..fit.design.ncols().min(3)).map(|j| fit.raw_design.column(j).iter().copied().collect()).collect();
     let has_time = covariates.iter().any(|(n, _)| n == "t_s");
     for (name, values) in &covariates {
-        let (lo, hi) =
-            values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(*v), b.max(*v)));
-        let span = hi - lo;
+        let [lo, span] = range(values);
         if !(span > 0.0) || (name == "order" && has_time) {
             continue;
         }
@@ -151,6 +193,10 @@ pub fn signatures_of_covariates(
                     maker.add(name, "step", None, &[map(&|u| f64::from(u8::from(u > q)))]);
                 }
                 if name == "t_s" || name == "order" {
+                    // What sets in during the session.
+                    for q in [0.2, 0.35, 0.5, 0.65, 0.8] {
+                        maker.add(name, "dead-zone", None, &[map(&|u| (u - q).max(0.0))]);
+                    }
                     for tau in [0.03, 0.08, 0.2, 0.5] {
                         maker.add(name, "exponential", None, &[map(&|u| (-u / tau).exp())]);
                     }
@@ -173,6 +219,11 @@ pub fn signatures_of_covariates(
                 }
                 maker.add(name, "quadratic", None, &[map(&|u| u), map(&|u| u * u)]);
             }
+            "largest_moment_nmm" => {
+                for q in [0.0, 0.2, 0.35, 0.5, 0.65, 0.8] {
+                    maker.add(name, "dead-zone", None, &[map(&|u| (u - q).max(0.0))]);
+                }
+            }
             "moment_1_nmm" | "moment_2_nmm" => {
                 maker.add(
                     name,
@@ -180,15 +231,6 @@ pub fn signatures_of_covariates(
                     None,
                     &[values.iter().map(|v| v.signum() * f64::from(u8::from(v.abs() > 1e-9))).collect()],
                 );
-            }
-            // An interferometer's error repeats with the wavelength itself.
-            _ if name.starts_with("fbg_") => {
-                for half in 3..=24 {
-                    let cycles = 0.5 * f64::from(half);
-                    let phase = std::f64::consts::TAU * cycles;
-                    let waves = [map(&|u| (phase * u).sin()), map(&|u| (phase * u).cos())];
-                    maker.add(name, "sinusoid", Some(span / cycles), &waves);
-                }
             }
             "contact_arclength_mm" => maker.add(name, "linear", None, &gain(&map(&|u| u - 0.5))),
             _ => maker.add(name, "linear", None, &[map(&|u| u)]),

@@ -37,6 +37,8 @@ pub struct Explained {
 const MAX_SEARCHES: usize = 3;
 /// Level at which an effect holds against the noise that would stand in its place. It has passed the level of the search already.
 const CONFIRM_LEVEL: f64 = 0.02;
+/// The same beside correlated noise: its time constant comes from a few stretches of the very readings, and a slow effect looks like it.
+const CONFIRM_BESIDE_CORRELATED: f64 = 1e-3;
 /// Generic drivers that are judged against correlated noise.
 const COVARIATES_JUDGED: usize = 10;
 /// Price of a law of the spread, in -2 log likelihood (Akaike).
@@ -109,8 +111,9 @@ impl<'a> NoiseEstimator<'a> {
                     weakest = Some((p, without));
                 }
             }
+            let level = if with.0.correlated.is_some() { CONFIRM_BESIDE_CORRELATED } else { CONFIRM_LEVEL };
             match weakest {
-                Some((p, without)) if p > CONFIRM_LEVEL => best = without,
+                Some((p, without)) if p > level => best = without,
                 _ => break,
             }
         }
@@ -161,16 +164,20 @@ fn alike(a: &Weights, b: &Weights) -> bool {
     shared && a.relative().iter().zip(b.relative()).all(|(x, y)| near(*x, *y))
 }
 
+/// Chance below which something is there, even where the name that was found for it is taken back.
+const NO_CHANCE: f64 = 1e-3;
+
 /// Takes back what does not earn its name on readings that are left out, and calls what is then left by its size.
 fn within_model_error(system: &dyn MeasurementModel, found: &mut SearchResult, options: &Options) {
     let (best, within) = earned(system, &found.best);
     let mut small = found.last_test.is_small(&found.best.fit);
     if !within.is_empty() {
-        // Where nothing was left beside it, what is left is what was taken back.
+        // Where nothing was left beside it, what is left is what was taken back: a finding of chance, or more than that.
         let nothing_beside = small || !found.last_test.generic();
         found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
         found.last_test.leave_out(&best.fit, &within);
-        small = nothing_beside || found.last_test.is_small(&best.fit);
+        let by_chance = found.last_test.p_covariates.min(found.last_test.p_serial) >= NO_CHANCE;
+        small = (nothing_beside && by_chance) || found.last_test.is_small(&best.fit);
         let lacks = |h: &Hypothesis| h.fit.terms.iter().all(|t| !within.contains(&t.effect));
         found.survivors = vec![best.clone()];
         found.refitted.retain(lacks);

@@ -4,7 +4,7 @@ use super::fit::Fit;
 use super::hypothesis::{Hypothesis, SearchResult};
 use super::linear::Basis;
 use super::signature::nuisance;
-use crate::effect::{EffectTerm, Role};
+use crate::effect::{EffectTerm, LawRequirement, Role};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -125,24 +125,45 @@ pub fn cosine(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
     if size > 0.0 { a.dot(b) / size } else { 0.0 }
 }
 
-/// For every survivor: is it of the best one's class? What both explanations share (effects in common, whatever both leave unexplained) is
-/// projected off first: a large common effect makes any two look alike.
+/// Cosine between what two explanations explain of their own, without sign; 1 where neither has anything of its own. What both share (effects in
+/// common, whatever both leave unexplained) is projected off first: a large common effect makes any two look alike.
+#[must_use]
+pub fn likeness(system: &dyn MeasurementModel, base: &Hypothesis, best: &Hypothesis, h: &Hypothesis) -> f64 {
+    let whole = explained(base, best);
+    let common = common_effects(system, base, best, h);
+    let (a, b) = (common.project_off(&whole), common.project_off(&explained(base, h)));
+    let own = a.norm().max(b.norm());
+    if own <= 1e-9 * whole.norm() { 1.0 } else { cosine(&a, &b).abs() }
+}
+
+/// For every survivor: is it of the best one's class?
 #[must_use]
 pub fn in_class(system: &dyn MeasurementModel, found: &SearchResult) -> Vec<bool> {
-    let best = explained(&found.base, &found.best);
-    found
-        .survivors
-        .iter()
-        .map(|h| {
-            let common = common_effects(system, &found.base, &found.best, h);
-            let off = |v: &DVector<f64>| common.project_off(v);
-            let other = explained(&found.base, h);
-            let (a, b) = (off(&best), off(&other));
-            // Nothing of their own left: they are the same explanation.
-            let own = a.norm().max(b.norm());
-            own <= 1e-9 * best.norm() || cosine(&a, &b).abs() > CLASS_COSINE
-        })
-        .collect()
+    let like = |h| likeness(system, &found.base, &found.best, h);
+    found.survivors.iter().map(|h| like(h) > CLASS_COSINE).collect()
+}
+
+/// Cosine and lag in the criterion up to which a law of a measured column and one of another are not told apart by their misfit.
+const MEASURED_COSINE: f64 = 0.97;
+const MEASURED_BEHIND: f64 = 20.0;
+
+/// Whether `h`, which is `behind` the best explanation in the criterion, is not told from it because one of them follows a temperature: that is
+/// measured itself, and the comparison takes columns for exact. Over minutes a room that warms steadily is as good as a clock.
+#[must_use]
+pub fn not_told(
+    system: &dyn MeasurementModel,
+    base: &Hypothesis,
+    best: &Hypothesis,
+    h: &Hypothesis,
+    behind: f64,
+) -> bool {
+    let measured = |h: &Hypothesis| {
+        let needs = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).needs;
+        h.fit.terms.iter().any(|t| needs(t).contains(&LawRequirement::Temperature))
+    };
+    measured(best) != measured(h)
+        && behind < MEASURED_BEHIND
+        && likeness(system, base, best, h) > MEASURED_COSINE
 }
 
 /// Directions in which the effects that two explanations share move the prediction, off the declared model: columns and tangents of `a`'s

@@ -1,8 +1,9 @@
 //! From a rejected omnibus test to explanations: screen, refit, add, compare. At most three effects, smallest set that passes the omnibus test first.
 
-use super::ambiguity::cox_test;
+use super::ambiguity::compared;
 use super::fit::{Fit, Weights, fit};
 use super::hypothesis::{AMBIGUITY_LEVEL, Evidence, Hypothesis, NotIdentified, SearchResult};
+use super::inference::not_told;
 use super::lasso::group_lasso;
 use super::min_p::f_test;
 use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
@@ -199,18 +200,11 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
     let variance = best.fit.variance();
     let top = best.criterion(&base.fit, variance);
     let behind = |h: &Hypothesis| h.criterion(&base.fit, variance) - top;
-    let p_values: Vec<f64> = final_level
-        .iter()
-        .enumerate()
-        .map(|(k, h)| {
-            options.progress.at("comparing explanations", k as f64 / final_level.len() as f64);
-            if k == 0 { 1.0 } else { cox_test(&best, h, variance, options.draws, options.seed + k as u64) }
-        })
-        .collect();
+    let p_values = compared(system, &best, &mut final_level, options);
     let survivors: Vec<Hypothesis> = final_level
         .iter()
         .zip(&p_values)
-        .filter(|(_, p)| **p >= AMBIGUITY_LEVEL)
+        .filter(|(h, p)| **p >= AMBIGUITY_LEVEL || not_told(system, &base, &best, h, behind(h)))
         .map(|(h, _)| h.clone())
         .collect();
     let evidence = final_level

@@ -2,6 +2,7 @@
 
 use super::acceptance::supported;
 use super::session_model::SessionModel;
+use crate::effect::{EffectTerm, LawRequirement};
 use crate::error::TraceError;
 use crate::method::fit::fit;
 use crate::method::hypothesis::{Hypothesis, SearchResult};
@@ -150,6 +151,31 @@ pub fn ids<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
     h.effects(model.outliers()).iter().map(|&e| model.catalogue()[e].id().to_owned()).collect()
 }
 
+/// Law of a term, and its further column.
+fn law<M: SessionModel>(model: &M, t: &EffectTerm) -> String {
+    let effect = &model.catalogue()[t.effect];
+    let column = effect.column(t.law, model.further_columns()).map_or(String::new(), |c| format!(" {c}"));
+    format!("{}{column}", model.law_name(effect.law(t.law).name))
+}
+
+/// Names and laws of an explanation's terms.
+pub fn laws<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
+    let of = |t: &EffectTerm| format!("{} {}", model.catalogue()[t.effect].id(), law(model, t));
+    h.fit.terms.iter().map(of).collect()
+}
+
+/// What drives an explanation's terms: what their laws need of the session, and their columns.
+fn drivers<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<(usize, Vec<LawRequirement>, Option<String>)> {
+    let driver = |t: &EffectTerm| {
+        let effect = &model.catalogue()[t.effect];
+        let column = effect.column(t.law, model.further_columns()).map(str::to_owned);
+        (t.effect, effect.law(t.law).needs, column)
+    };
+    let mut all: Vec<_> = h.fit.terms.iter().map(driver).collect();
+    all.sort_by_key(|(effect, needs, column)| (*effect, needs.len(), column.clone()));
+    all
+}
+
 /// "a", "a and b", "a, b and c".
 fn join(ids: &[String]) -> String {
     match ids {
@@ -196,6 +222,7 @@ fn named<M: SessionModel>(
     own.iter()
         .map(|&e| NamedEffect {
             id: id(e),
+            laws: h.fit.terms.iter().filter(|t| t.effect == e).map(|t| law(model, t)).collect(),
             class: class_of(e),
             p_value: removal_p(model, found, h, e),
             parameters: model.parameters(h, e),
@@ -237,9 +264,15 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
         let all = found.survivors.iter().zip(&same);
         all.filter(|(_, s)| something && **s == of_class).map(|(h, _)| h).collect()
     };
-    // The same names by other laws (a period over time or over the order) are no rivals in name.
-    let names = ids(model, &found.best);
-    let rivals = || part(false).into_iter().filter(|h| ids(model, h) != names);
+    // The same names are rivals where something else drives them: a period over time, or over the stimulus.
+    let (names, driven) = (ids(model, &found.best), drivers(model, &found.best));
+    let other_driver = |h: &Hypothesis| ids(model, h) == names && drivers(model, h) != driven;
+    let rivals = || {
+        let all = found.survivors.iter().zip(&same).filter(|_| something);
+        let rival =
+            |(h, of_class): &(&Hypothesis, &bool)| other_driver(h) || (!**of_class && ids(model, h) != names);
+        all.filter(rival).map(|(h, _)| h)
+    };
     let noise = model.noise_effect();
     let with_noise = |mut ids: Vec<String>| {
         ids.extend(noise.as_ref().map(|e| e.id.clone()));
@@ -247,18 +280,19 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
     };
     let mut effects = if something { named(model, found, &found.best, &part(true)) } else { Vec::new() };
     effects.extend(noise.clone());
+    let mut listed = Vec::new();
     let mut alternatives: Vec<Vec<String>> = if something {
-        found.survivors.iter().map(|h| with_noise(ids(model, h))).collect()
+        let all = found.survivors.iter().filter(|h| {
+            let own = (ids(model, h), drivers(model, h));
+            let new = !listed.contains(&own);
+            listed.push(own);
+            new
+        });
+        all.map(|h| with_noise(ids(model, h))).collect()
     } else {
         vec![with_noise(Vec::new())]
     };
     alternatives.retain(|a| !a.is_empty());
-    let mut listed: Vec<Vec<String>> = Vec::new();
-    alternatives.retain(|a| {
-        let new = !listed.contains(a);
-        listed.push(a.clone());
-        new
-    });
     let mut c = Conclusion {
         verdict: Verdict::Adequate,
         reason: String::new(),
@@ -274,7 +308,13 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
     let lack = against_pure_error.filter(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
     if !c.rivals.is_empty() && lack.is_none() {
         c.verdict = Verdict::Ambiguous;
-        let names: Vec<String> = c.alternatives.iter().map(|a| a.join(" with ")).collect();
+        let mut names: Vec<String> = c.alternatives.iter().map(|a| a.join(" with ")).collect();
+        if c.rivals.iter().any(other_driver) {
+            names = std::iter::once(&found.best)
+                .chain(&c.rivals)
+                .map(|h| laws(model, h).join(" with "))
+                .collect();
+        }
         c.reason =
             format!("The data show an unmodelled effect; these explanations remain: {}.", names.join("; "));
     } else if left || lack.is_some() {

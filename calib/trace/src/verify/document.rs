@@ -1,12 +1,11 @@
 //! verify.json from what the stages found.
 
-use super::conclusion::{Conclusion, ids};
+use super::conclusion::{Conclusion, ids, laws};
 use super::detect;
 use super::held_out::{Errors, Unsealed};
 use super::identifiability;
 use super::noise_report::{noise_document, noise_sentences};
 use super::session_model::{FloorStatement, SessionModel};
-use crate::effect::EffectTerm;
 use crate::method::explain::Explained;
 use crate::method::hypothesis::Hypothesis;
 use wcal_core::verify_document::{FlaggedReading, TwinCheck, TwinFault, Verdict, VerifyDocument};
@@ -142,19 +141,10 @@ fn not_identified<M: SessionModel>(model: &M, explained: &Explained) -> Vec<Stri
 /// Laws of the accepted names by which the data could be described as well: columns or clocks that this session does not tell apart.
 fn other_laws<M: SessionModel>(model: &M, explained: &Explained, conclusion: &Conclusion) -> Option<String> {
     let accepted = &conclusion.accepted;
-    let laws = |h: &Hypothesis| -> Vec<String> {
-        let law = |t: &EffectTerm| {
-            let effect = &model.catalogue()[t.effect];
-            let column =
-                effect.column(t.law, model.further_columns()).map_or(String::new(), |c| format!(" {c}"));
-            format!("{} {}{column}", effect.id(), model.law_name(effect.law(t.law).name))
-        };
-        h.fit.terms.iter().map(law).collect()
-    };
-    let own = laws(accepted);
-    let same = |h: &&Hypothesis| ids(model, h) == ids(model, accepted) && laws(h) != own;
+    let own = laws(model, accepted);
+    let same = |h: &&Hypothesis| ids(model, h) == ids(model, accepted) && laws(model, h) != own;
     let others: Vec<String> =
-        explained.found.survivors.iter().filter(same).map(|h| laws(h).join(" with ")).collect();
+        explained.found.survivors.iter().filter(same).map(|h| laws(model, h).join(" with ")).collect();
     (!others.is_empty() && !own.is_empty())
         .then(|| format!("{} cannot be distinguished from {}.", own.join(" with "), others.join(" or ")))
 }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use std::f64::consts::TAU;
 use wcal_core::Sealed;
 use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRow};
-use wcal_core::verify_document::{EffectParameter, Verdict};
+use wcal_core::verify_document::{EffectParameter, Verdict, VerifyDocument};
 use wcal_trace::method::options::Options;
 use wcal_trace::scalar::{ScalarData, ScalarRow, ScalarVerification, verify_scalar};
 use wcal_trace::verify::VerifyOptions;
@@ -255,6 +255,70 @@ fn a_squiggle_is_no_period() {
     };
     let (squiggle, control) = (periodic(1.4), periodic(5.3));
     assert!(squiggle == 0.0 && control >= 0.85, "{squiggle} {control}");
+}
+
+/// Steps of 37 places in 120: the stimulus and the time count the same places in another order, so that a wave over one is one over the other.
+#[test]
+fn a_lattice_of_stimuli_does_not_tell_a_wave_over_time_from_one_over_the_stimulus() {
+    let in_steps: Vec<f64> = (0..120).map(|k| f64::from(k * 37 % 120) / 12.0).collect();
+    let with = |seed: u64, in_order: bool, cycles: f64| {
+        let mut rng = Noise::new(seed);
+        let mut stimuli = in_steps.clone();
+        if !in_order {
+            stimuli.shuffle(&mut rng.0);
+        }
+        let wave = |k: usize| 0.03 * (TAU * cycles * k as f64 / 119.0 + 0.4 * seed as f64).sin();
+        run(&table(&stimuli, true, &[], |k, x| 0.2 * x + wave(k) + 0.01 * rng.next()), seed).document
+    };
+    let by_time = |d: &VerifyDocument| {
+        d.effects.iter().flat_map(|e| &e.parameters).any(|p| p.name == "period" && p.unit == "s")
+    };
+    let sure_and_wrong = |d: &VerifyDocument| d.verdict == Verdict::Effect && !by_time(d);
+    for cycles in [1.4, 5.0, 5.3] {
+        let wrong = share(8, |seed| {
+            let d = with(seed, true, cycles);
+            println!(
+                "{cycles}: {:?} {} {:?} {:?}",
+                d.verdict,
+                d.reason,
+                d.effects.iter().map(|e| (&e.laws, &e.parameters)).collect::<Vec<_>>(),
+                d.notes
+            );
+            sure_and_wrong(&d)
+        });
+        assert!(wrong == 0.0, "{cycles}: {wrong}");
+    }
+    // In whole cycles both are the same to within a place, which is said.
+    let said = share(8, |seed| {
+        let d = with(seed, true, 5.0);
+        d.verdict == Verdict::Ambiguous
+            && d.reason.contains("over-stimulus")
+            && d.reason.contains("over-time")
+    });
+    assert!(said >= 0.75, "{said}");
+    // Control: in random order the period is one of time, with confidence.
+    let told = share(8, |seed| {
+        let d = with(seed, false, 5.0);
+        d.verdict == Verdict::Effect && by_time(&d)
+    });
+    assert!(told >= 0.85, "{told}");
+}
+
+/// Few repeats tell the floor to within a factor that chance makes large: a held-out error above it says little. Many tell it.
+#[test]
+fn a_floor_from_a_few_repeats_that_happen_to_agree_speaks_against_nothing() {
+    // Each of the last loads is read twice, with a fifth of the noise between.
+    let with = |seed: u64, repeats: usize| {
+        let mut rng = Noise::new(seed);
+        let mut loads: Vec<f64> = (0..24).map(f64::from).collect();
+        loads.extend((24 - repeats..24).map(|k| k as f64));
+        let mut read: Vec<f64> = (0..24).map(|k| 0.2 * f64::from(k) + 0.01 * rng.next()).collect();
+        read.extend((24 - repeats..24).map(|k| read[k] + 2e-3 * rng.next()).collect::<Vec<f64>>());
+        run(&table(&loads, false, &[], |k, _| read[k]), seed).document
+    };
+    let few = share(12, |s| with(s, 2).verdict == Verdict::Adequate);
+    let many = share(12, |s| with(s, 12).verdict == Verdict::UnknownEffect);
+    assert!(few >= 0.75 && many == 1.0, "{few} {many}");
 }
 
 #[test]

@@ -138,7 +138,19 @@ const AGREES: f64 = 4.0;
 /// More levels than this are no table that was typed.
 const MAX_LEVELS: usize = 200;
 
-/// A level that contradicts all others, and agrees with them once the decimal point of its stimulus or its responses is moved.
+/// The numbers that two neighbouring digits make when they change places.
+fn digits_swapped(value: f64) -> Vec<f64> {
+    let text: Vec<char> = value.to_string().chars().collect();
+    let swapped = (1..text.len()).filter_map(|k| {
+        let mut text = text.clone();
+        text.swap(k - 1, k);
+        text.into_iter().collect::<String>().parse().ok()
+    });
+    swapped.filter(|other: &f64| *other != value && *other != 0.0).collect()
+}
+
+/// A level that contradicts all others, and agrees with them once the decimal point of its stimulus or its responses is moved, or two digits of
+/// its stimulus change places.
 fn mistyped(rows: &[ScalarRow], declared: Declared) -> Option<String> {
     let (degree, axis) = match declared {
         Declared::Polynomial(0) => return None,
@@ -164,7 +176,13 @@ fn mistyped(rows: &[ScalarRow], declared: Declared) -> Option<String> {
             wrong.iter().all(|r| curve.deviation(stimulus * r.x, response * y(r)) < AGREES)
         };
         let count = wrong.len();
-        DECIMALS.into_iter().find_map(|factor| {
+        let swapped = || digits_swapped(first.x).into_iter().find(|right| agrees(right / first.x, 1.0));
+        let by_digits = |right: f64| {
+            format!(
+                "the stimulus {level} of {count} readings contradicts all others: their responses are those of {right} (two digits in each other's place?)"
+            )
+        };
+        let by_decimals = DECIMALS.into_iter().find_map(|factor| {
             let right = first.x * factor;
             if agrees(factor, 1.0) && first.x != 0.0 {
                 return Some(format!(
@@ -176,7 +194,8 @@ fn mistyped(rows: &[ScalarRow], declared: Declared) -> Option<String> {
                     "{count} responses at the stimulus {level} contradict all others: times {factor} they agree (a decimal point in the wrong place?)"
                 )
             })
-        })
+        });
+        by_decimals.or_else(|| Some(by_digits(swapped()?)))
     })
 }
 
@@ -324,6 +343,27 @@ mod tests {
 
     fn scatter(k: usize) -> f64 {
         (k as f64 * 12.9898).sin() * 43758.5453 % 1.0
+    }
+
+    #[test]
+    fn two_digits_of_a_load_in_each_others_place_are_told_and_a_knee_is_none() {
+        // Loads of 0, 15, ..., 135 N; all readings at 75 N are entered as 57 N.
+        let read = |k: usize, load: f64| 0.2 * load + 0.01 * scatter(k);
+        let entered = |rows: Vec<ScalarRow>| -> Vec<ScalarRow> {
+            let of = |r: ScalarRow| ScalarRow { x: if r.x == 75.0 { 57.0 } else { r.x }, ..r };
+            rows.into_iter().map(of).collect()
+        };
+        let loads = |y: &dyn Fn(usize, f64) -> f64| -> Vec<ScalarRow> {
+            let of = |r: ScalarRow| ScalarRow { x: 15.0 * r.x, ..r };
+            table(3, |k, x| y(k, 15.0 * x)).into_iter().map(of).collect()
+        };
+        let declared = Declared::Polynomial(1);
+        let why = mistyped(&entered(loads(&read)), declared).unwrap();
+        assert!(why.contains("57") && why.contains("75") && why.contains("digits"), "{why}");
+        // Controls: as it was, and a response that bends at the last load.
+        assert_eq!(mistyped(&loads(&read), declared), None);
+        let bent = |k: usize, load: f64| read(k, load) - if load > 130.0 { 1.0 } else { 0.0 };
+        assert_eq!(mistyped(&loads(&bent), declared), None);
     }
 
     fn copied(points: &[ScalarRow], sealed: &[ScalarRow]) -> Option<String> {

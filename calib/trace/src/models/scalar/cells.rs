@@ -207,13 +207,16 @@ impl ScalarSystem {
         (gain(&alone) > CONTRADICTED || gain(&h.fit) < CONTRADICTED).then_some(plainer)
     }
 
-    /// A shape that is none of the effect describes the readings better in place of `term`.
+    /// A shape that is none of the effect describes the readings as well (Akaike, two parameters) in place of `term`, by any of its laws: stimuli in steps of a fixed
+    /// number of places make of a slow bend over time a fast wave over the stimulus.
     fn too_little_of_it(&self, others: &[EffectTerm], term: &EffectTerm, h: &Hypothesis) -> bool {
-        self.effects()[term.effect].too_little_of_it().iter().any(|shape| {
-            let other = EffectTerm { values: vec![*shape], ..term.clone() };
+        let effect = &self.effects()[term.effect];
+        let better = |law: usize, shape: f64| {
+            let other = EffectTerm { effect: term.effect, law, values: vec![shape] };
             let terms: Vec<EffectTerm> = others.iter().cloned().chain([other]).collect();
-            fit(self, &terms, &h.weights, 0).is_some_and(|f| f.ssr < h.fit.ssr)
-        })
+            fit(self, &terms, &h.weights, 0).is_some_and(|f| f.ssr < h.fit.ssr + 4.0 * h.fit.variance())
+        };
+        effect.too_little_of_it().iter().any(|shape| (0..effect.laws().len()).any(|law| better(law, *shape)))
     }
 
     /// Strata of the design; none where no cell is repeated.

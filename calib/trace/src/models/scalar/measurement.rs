@@ -101,13 +101,14 @@ impl SessionModel for ScalarSystem {
 
     fn noise_effect(&self) -> Option<NamedEffect> {
         let spread = self.spread()?;
-        let name = match spread.law {
-            SpreadLaw::Power => "exponent",
-            SpreadLaw::Exponential => "log_sd_per_half_range",
+        let (law, name) = match spread.law {
+            SpreadLaw::Power => ("power", "exponent"),
+            SpreadLaw::Exponential => ("exponential", "log_sd_per_half_range"),
         };
         let sentence = self.catalogue().iter().find(|c| c.id() == HETEROSCEDASTIC_NOISE);
         Some(NamedEffect {
             id: HETEROSCEDASTIC_NOISE.to_owned(),
+            laws: vec![law.to_owned()],
             class: vec![HETEROSCEDASTIC_NOISE.to_owned()],
             p_value: spread.p_value,
             parameters: vec![EffectParameter {

@@ -1,6 +1,7 @@
 //! The whisker's measurement model: pose -> rod -> moment -> memory -> wavelength, and what the procedure asks of it.
 
 mod branch_cache;
+mod covariates;
 pub mod effects;
 pub mod floor;
 pub mod groove_motion;

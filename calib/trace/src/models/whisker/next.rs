@@ -37,6 +37,7 @@ fn row(template: &WhiskerRow, pose: &NextPose, t_s: f64, system: &WhiskerSystem)
         direction: Some(pose.direction),
         speed_mm_s: Some(pose.speed_mm_s),
         dwell_s: Some(pose.dwell_s),
+        average_s: None,
         pair: None,
         groove_mm: line.map(|l| l.origin_mm + l.direction * pose.stage_mm),
         ..template.clone()

@@ -22,6 +22,8 @@ pub struct Reading {
     pub t_s: f64,
     /// Time since arrival, s.
     pub dwell_s: f64,
+    /// Time for which the groove stays after `t_s`: the rest of the averaging window, s.
+    pub stays_s: f64,
     /// Temperature, deg C: above the reference grating's nominal where there is one. The zero takes up any constant. Freed of its sensor's
     /// noise where the session's walk is known.
     pub rise_degc: f64,
@@ -206,6 +208,7 @@ impl WhiskerPath {
                     velocity_mm_s: r.speed_mm_s.unwrap_or(0.0) * if direction < 0.0 { -1.0 } else { 1.0 },
                     t_s: if time { r.t_s.unwrap_or(0.0) } else { k as f64 },
                     dwell_s: r.dwell_s.unwrap_or(0.0),
+                    stays_s: r.average_s.unwrap_or(0.0) / 2.0,
                     rise_degc: temperature_of(r, fbg).unwrap_or(0.0),
                     temperature_loo_degc: temperature_of(r, fbg).unwrap_or(0.0),
                     shift_pm: r.compensated_pm(fbg),
@@ -314,7 +317,7 @@ fn places(readings: &[Reading]) -> Vec<f64> {
     (0..readings.len()).map(of).collect()
 }
 
-/// A settled reading ends a dwell: its arrival is a node of its own. Changing lines, the groove leaves the wire.
+/// A settled reading lies in a dwell: its arrival is a node of its own, and so is the end of its averaging window. Changing lines, the groove leaves the wire.
 fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
     let mut nodes: Vec<Node> = Vec::with_capacity(2 * readings.len());
     let places_mm = places(readings);
@@ -345,6 +348,18 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
             moving: r.velocity_mm_s != 0.0,
             reading: Some(i),
         });
+        let next_s = readings.get(i + 1).map_or(f64::INFINITY, |n| n.t_s - n.dwell_s);
+        if time && r.stays_s > 0.0 && r.t_s + r.stays_s < next_s {
+            let t_s = r.t_s + r.stays_s;
+            nodes.push(Node {
+                t_s,
+                line: r.line,
+                x_mm: places_mm[i],
+                rest: r.rest,
+                moving: false,
+                reading: None,
+            });
+        }
     }
     nodes
 }
@@ -362,6 +377,7 @@ mod tests {
             velocity_mm_s,
             t_s,
             dwell_s: 0.0,
+            stays_s: 0.0,
             rise_degc: 0.0,
             temperature_loo_degc: 0.0,
             shift_pm: [0.0; 2],

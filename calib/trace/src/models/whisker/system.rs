@@ -1,5 +1,6 @@
 //! The whisker session as a system: pose -> rod -> moment -> memory -> wavelength, with effects at every stage.
 
+use super::covariates::covariates;
 use super::pictures::Pictures;
 use super::stage_clock::CLOCK_SD_S;
 use super::whisker_effect::{ActiveEffect, Observers, WhiskerEffect};
@@ -42,19 +43,6 @@ pub struct WhiskerSystem {
     pub(super) picture_scale: f64,
     stage_clock_s: f64,
     refuted: Arc<[String]>,
-}
-
-/// Rate of the temperature at each reading, deg C/s, over the readings on both sides of it.
-fn rates(readings: &[crate::whisker::path::Reading]) -> Vec<f64> {
-    const SIDE: usize = 3;
-    (0..readings.len())
-        .map(|i| {
-            let (a, b) = (i.saturating_sub(SIDE), (i + SIDE).min(readings.len() - 1));
-            let dt_s = readings[b].t_s - readings[a].t_s;
-            let rise = readings[b].temperature_loo_degc - readings[a].temperature_loo_degc;
-            if dt_s > 0.0 { rise / dt_s } else { 0.0 }
-        })
-        .collect()
 }
 
 /// Density of air, kg/m^3.
@@ -399,38 +387,7 @@ impl MeasurementModel for WhiskerSystem {
     }
 
     fn covariates(&self) -> Vec<(String, Vec<f64>)> {
-        let r = &self.path.readings;
-        let column =
-            |f: &dyn Fn(&crate::whisker::path::Reading) -> f64| r.iter().map(f).collect::<Vec<f64>>();
-        let mut out = vec![("stage_mm".to_owned(), column(&|r| r.x_mm))];
-        if let Some((sensed, _)) = self.moments(&[]) {
-            out.push(("moment_1_nmm".to_owned(), sensed.iter().map(|m| m[0]).collect()));
-            out.push(("moment_2_nmm".to_owned(), sensed.iter().map(|m| m[1]).collect()));
-            out.push(("moment_nmm".to_owned(), sensed.iter().map(|m| m[0].hypot(m[1])).collect()));
-        }
-        out.push(("trajectory".to_owned(), column(&|r| f64::from(r.group))));
-        out.push(("order".to_owned(), (0..r.len()).map(|k| k as f64).collect()));
-        if self.path.columns.time {
-            out.push(("t_s".to_owned(), column(&|r| r.t_s)));
-            out.push(("dwell_s".to_owned(), column(&|r| r.dwell_s)));
-        }
-        if self.path.columns.temperature {
-            out.push(("temperature_degc".to_owned(), column(&|r| r.temperature_loo_degc)));
-            if self.path.columns.time {
-                out.push(("temperature_rate_degc_s".to_owned(), rates(r)));
-            }
-        }
-        if self.path.columns.both_directions {
-            out.push(("direction".to_owned(), column(&|r| if r.rest { 0.0 } else { r.direction })));
-        }
-        if self.path.columns.speeds {
-            out.push(("speed_mm_s".to_owned(), column(&|r| r.velocity_mm_s)));
-        }
-        let arclength = |r: &crate::whisker::path::Reading| {
-            r.line.filter(|_| !r.rest).and_then(|l| self.rod_tables.arclength_mm(l, r.x_mm)).unwrap_or(0.0)
-        };
-        out.push(("contact_arclength_mm".to_owned(), column(&arclength)));
-        out
+        covariates(self)
     }
 
     fn judged_left_out(&self) -> bool {

@@ -22,8 +22,8 @@ const GRID: [f64; 197] = {
 /// With fewer cycles nothing was seen to repeat: such a wave is a bend or a slope by another name.
 const MIN_CYCLES: f64 = 2.0;
 
-/// Cycles of bends that never repeat.
-const SQUIGGLES: [f64; 7] = [0.5, 0.75, 1.0, 1.25, 1.5, 1.7, 1.85];
+/// Cycles of bends that never repeat, so near each other that one of them follows any bend to a tenth of its size.
+const SQUIGGLES: [f64; 14] = [0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.85];
 
 impl Effect for Periodic {
     fn id(&self) -> &'static str {

@@ -96,12 +96,12 @@ fn jittered_holdout(rows: &[ScalarRow], sealed: &[ScalarRow]) -> Option<String> 
     let mut cells: BTreeMap<[u64; 2], Vec<f64>> = BTreeMap::new();
     let key = |r: &ScalarRow| [(r.x + 0.0).to_bits(), r.direction.unwrap_or(0.0).to_bits()];
     rows.iter().for_each(|r| cells.entry(key(r)).or_default().push(r.y));
-    let (mut square, mut dof) = (0.0, 0);
-    for y in cells.values() {
+    let spread = |y: &[f64]| {
         let mean = y.iter().sum::<f64>() / y.len() as f64;
-        square += y.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
-        dof += y.len() - 1;
-    }
+        y.iter().map(|v| (v - mean).powi(2)).sum::<f64>()
+    };
+    let square: f64 = cells.values().map(|y| spread(y)).sum();
+    let dof: usize = cells.values().map(|y| y.len() - 1).sum();
     let sd = (square / dof.max(1) as f64).sqrt();
     if dof < MIN_DOF || !(sd > 0.0) {
         return None;
@@ -111,7 +111,9 @@ fn jittered_holdout(rows: &[ScalarRow], sealed: &[ScalarRow]) -> Option<String> 
     let chances: Vec<f64> = sealed
         .iter()
         .filter_map(|r| {
-            let own = cells.get(&key(r))?;
+            let own = cells.get(&key(r)).filter(|own| own.len() > 1)?;
+            // Where the spread follows the stimulus, a steady place is judged by its own.
+            let sd = sd.min((spread(own) / (own.len() - 1) as f64).sqrt()).max(f64::MIN_POSITIVE);
             let nearest = own.iter().map(|y| (y - r.y).abs()).fold(f64::INFINITY, f64::min).max(0.5 * step);
             let single = statrs::function::erf::erf(nearest / (2.0 * sd));
             Some((1.0 - (1.0 - single).powi(i32::try_from(own.len()).unwrap_or(i32::MAX))).max(1e-12))
@@ -380,6 +382,10 @@ mod tests {
         };
         assert!(copied(&points, &again(0.0)).is_some());
         assert!(jittered_holdout(&points, &again(1e-4)).is_some());
+        // An honest one whose places scatter by ever less, a thousandth at the last.
+        let uneven = |k: usize, x: f64| 2.0 * x + 10f64.powf(-x / 3.0) * scatter(k);
+        let sealed = table(2, |k, x| uneven(k + 1000, x));
+        assert!(jittered_holdout(&table(4, uneven), &sealed).is_none());
         let honest = table(2, |k, x| 2.0 * x + 0.1 * scatter(k + 1000));
         assert!(jittered_holdout(&points, &honest).is_none() && copied(&points, &honest).is_none());
         // A coarse gauge reads the same again.

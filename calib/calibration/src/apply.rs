@@ -6,9 +6,9 @@ use wcal_core::stream::MomentStream;
 use wcal_core::{CalibrationNoise, FbgSpec, WhiskerRow, WhiskerSpec};
 use wcal_session::SessionWarning;
 use wcal_trace::scalar::ScalarSystem;
-use wcal_trace::verify::SessionModel;
 use wcal_trace::verify::judgement::JudgedReading;
 use wcal_trace::verify::session_model::Quantity;
+use wcal_trace::verify::{SessionModel, SessionText};
 use wcal_trace::whisker::groove_motion::{AcceptedWire, CalibratedReading, GrooveMotion};
 use wcal_trace::whisker::{WhiskerSystem, judgement};
 

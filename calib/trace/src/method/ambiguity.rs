@@ -7,7 +7,6 @@
 use super::hypothesis::{AMBIGUITY_LEVEL, Hypothesis};
 use super::linear::Basis;
 use super::options::Options;
-use super::progress::progress;
 use super::refine::refit;
 use super::signature::nuisance;
 use crate::effect::EffectTerm;
@@ -79,7 +78,7 @@ pub fn compared(
 ) -> Vec<f64> {
     let (variance, count) = (best.fit.variance(), level.len() as f64);
     let one = |(k, h): (usize, &mut Hypothesis)| {
-        progress("comparing explanations", k as f64 / count);
+        options.progress.at("comparing explanations", k as f64 / count);
         let p = |h: &Hypothesis| cox_test(best, h, variance, options.draws, options.seed + k as u64);
         match p(h) {
             _ if k == 0 => 1.0,

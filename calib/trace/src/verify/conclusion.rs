@@ -1,7 +1,7 @@
 //! The verdict from what the search found, in the order of docs/src/formats.md.
 
-use super::acceptance::supported;
 use super::session_model::SessionModel;
+use super::support::supported;
 use crate::effect::{EffectTerm, LawRequirement};
 use crate::error::TraceError;
 use crate::method::fit::fit;

@@ -16,7 +16,8 @@ pub mod options;
 pub mod procedure;
 pub mod refutation;
 pub mod session_model;
+mod support;
 
 pub use options::VerifyOptions;
 pub use procedure::{Verification, verify};
-pub use session_model::{HeldOut, SessionModel};
+pub use session_model::{HeldOut, SessionModel, SessionText};

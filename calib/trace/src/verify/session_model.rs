@@ -73,25 +73,12 @@ pub struct FloorStatement {
     pub sd: f64,
 }
 
-/// A session as a measurement model: prediction, nuisances and catalogue by [`MeasurementModel`]; words, predictions and checks here.
-pub trait SessionModel: MeasurementModel + Sized {
-    /// A row as it was loaded.
-    type Row;
-    /// Predictions at every reading.
-    type Predictions;
-
+/// What a reader of this kind of session calls things: units, names, sentences. No statistics.
+pub trait SessionText: MeasurementModel {
     /// Kind as in docs/src/formats.md.
     fn kind(&self) -> &'static str;
     /// Unit of the measured values.
     fn unit(&self) -> String;
-    /// From the noise in the engine's channels to that of a measured value: mean of the channels.
-    fn noise_factor(&self) -> f64 {
-        1.0
-    }
-    /// Where a reading comes from.
-    fn origin(&self, reading: usize) -> Origin;
-    /// Fitted values of an effect with intervals, in the session's units.
-    fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter>;
     /// A sentence of the catalogue in the words of the session.
     fn format_text(&self, sentence: &str) -> String {
         sentence.to_owned()
@@ -112,6 +99,28 @@ pub trait SessionModel: MeasurementModel + Sized {
     fn nuisances(&self) -> &'static str;
     /// Name of a coefficient of the declared model.
     fn nuisance(&self, column: usize) -> String;
+    /// Remarks of this kind of session.
+    fn notes(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Vec<String> {
+        Vec::new()
+    }
+}
+
+/// A session as a measurement model: prediction, nuisances and catalogue by [`MeasurementModel`], words by [`SessionText`]; predictions, noise and
+/// checks here.
+pub trait SessionModel: SessionText + Sized {
+    /// A row as it was loaded.
+    type Row;
+    /// Predictions at every reading.
+    type Predictions;
+
+    /// From the noise in the engine's channels to that of a measured value: mean of the channels.
+    fn noise_factor(&self) -> f64 {
+        1.0
+    }
+    /// Where a reading comes from.
+    fn origin(&self, reading: usize) -> Origin;
+    /// Fitted values of an effect with intervals, in the session's units.
+    fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter>;
 
     /// Twin check: faults of an outside twin.
     fn twin_faults(&self) -> Vec<TwinFault> {
@@ -201,10 +210,6 @@ pub trait SessionModel: MeasurementModel + Sized {
     /// How the zero varies from session to session, where several were joined.
     fn between_sessions(&self, _accepted: &Hypothesis) -> Option<Estimated> {
         None
-    }
-    /// Remarks of this kind of session.
-    fn notes(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Vec<String> {
-        Vec::new()
     }
 }
 

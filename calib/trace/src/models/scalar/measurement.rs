@@ -20,7 +20,7 @@ use crate::method::noise::Noise;
 use crate::method::noise::spread::SpreadLaw;
 use crate::method::omnibus::CATALOGUE_LEVEL;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
-use crate::verify::{HeldOut, SessionModel, VerifyOptions};
+use crate::verify::{HeldOut, SessionModel, SessionText, VerifyOptions};
 use nalgebra::DVector;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::Role;
@@ -50,10 +50,7 @@ impl ScalarSystem {
     }
 }
 
-impl SessionModel for ScalarSystem {
-    type Row = ScalarRow;
-    type Predictions = ScalarPredictions;
-
+impl SessionText for ScalarSystem {
     fn kind(&self) -> &'static str {
         if self.axis() { "axis" } else { "transducer" }
     }
@@ -62,25 +59,20 @@ impl SessionModel for ScalarSystem {
         self.names().response.clone()
     }
 
-    fn origin(&self, reading: usize) -> Origin {
-        let row = &self.frame.rows[reading];
-        let (source, line, point) = row.origin.clone();
-        Origin { source, line, point, role: row.role }
-    }
-
-    fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
-        if self.catalogue()[effect].id() == ERROR_TABLE {
-            return deviations(self, &h.fit);
-        }
-        of_effect(self, &h.fit, effect, self.names())
-    }
-
     fn format_text(&self, sentence: &str) -> String {
         self.frame.declared.format_text(sentence)
     }
 
     fn law_name(&self, name: &str) -> String {
         if self.axis() { name.replace("stimulus", "position") } else { name.to_owned() }
+    }
+
+    fn caveat(&self, accepted: &Hypothesis) -> Option<String> {
+        let s = stationarity(self, accepted).filter(|s| s.z > UNSTEADY)?;
+        Some(format!(
+            "The frequency is not steady: {:.3} +- {:.3} cycles over the range by the first half, {:.3} +- {:.3} by the second.",
+            s.cycles[0], s.standard_errors[0], s.cycles[1], s.standard_errors[1]
+        ))
     }
 
     fn physical(&self, unit: &str, value: f64, law: usize) -> (f64, String) {
@@ -93,6 +85,50 @@ impl SessionModel for ScalarSystem {
 
     fn nuisance(&self, column: usize) -> String {
         if self.axis() { "constant".to_owned() } else { format!("b{column}") }
+    }
+
+    fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
+        let (used, total) = (self.frame.rows.len(), self.points());
+        let mut notes = Vec::new();
+        if used < total {
+            notes.push(format!(
+                "The search used {used} of {total} readings, chosen evenly by stimulus, direction and cycle; all are predicted, and places \
+                 and periods are in rows of the table."
+            ));
+        }
+        for (model, h) in [("declared", &found.base), ("accepted", accepted)] {
+            if let Some(l) = self.pure_error(h) {
+                notes.push(format!(
+                    "Lack of fit of the {model} model against repetitions: F = {:.4} on {} and {} degrees of freedom, p = {:.2e}.",
+                    l.f, l.dof, l.pure_dof, l.p_value
+                ));
+            }
+        }
+        if self.spread().is_some() {
+            notes.push(
+                "Readings were weighted by the spread found; held-out errors are not weighted.".to_owned(),
+            );
+        }
+        notes.extend(self.caveat(accepted));
+        notes
+    }
+}
+
+impl SessionModel for ScalarSystem {
+    type Row = ScalarRow;
+    type Predictions = ScalarPredictions;
+
+    fn origin(&self, reading: usize) -> Origin {
+        let row = &self.frame.rows[reading];
+        let (source, line, point) = row.origin.clone();
+        Origin { source, line, point, role: row.role }
+    }
+
+    fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
+        if self.catalogue()[effect].id() == ERROR_TABLE {
+            return deviations(self, &h.fit);
+        }
+        of_effect(self, &h.fit, effect, self.names())
     }
 
     fn explain(self, options: &VerifyOptions) -> Option<(Self, Explained)> {
@@ -133,14 +169,6 @@ impl SessionModel for ScalarSystem {
                 .first()
                 .is_some_and(|d| PERIOD_RUNS_OVER.contains(&d.covariate.as_str()))
             && found.last_test.p_catalogue >= CATALOGUE_LEVEL
-    }
-
-    fn caveat(&self, accepted: &Hypothesis) -> Option<String> {
-        let s = stationarity(self, accepted).filter(|s| s.z > UNSTEADY)?;
-        Some(format!(
-            "The frequency is not steady: {:.3} +- {:.3} cycles over the range by the first half, {:.3} +- {:.3} by the second.",
-            s.cycles[0], s.standard_errors[0], s.cycles[1], s.standard_errors[1]
-        ))
     }
 
     fn repeats_with_protocol(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> bool {
@@ -254,32 +282,6 @@ impl SessionModel for ScalarSystem {
             rejected: at.rejected.clone(),
             covariates: at.covariates.clone(),
         }]
-    }
-
-    fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
-        let (used, total) = (self.frame.rows.len(), self.points());
-        let mut notes = Vec::new();
-        if used < total {
-            notes.push(format!(
-                "The search used {used} of {total} readings, chosen evenly by stimulus, direction and cycle; all are predicted, and places \
-                 and periods are in rows of the table."
-            ));
-        }
-        for (model, h) in [("declared", &found.base), ("accepted", accepted)] {
-            if let Some(l) = self.pure_error(h) {
-                notes.push(format!(
-                    "Lack of fit of the {model} model against repetitions: F = {:.4} on {} and {} degrees of freedom, p = {:.2e}.",
-                    l.f, l.dof, l.pure_dof, l.p_value
-                ));
-            }
-        }
-        if self.spread().is_some() {
-            notes.push(
-                "Readings were weighted by the spread found; held-out errors are not weighted.".to_owned(),
-            );
-        }
-        notes.extend(self.caveat(accepted));
-        notes
     }
 }
 

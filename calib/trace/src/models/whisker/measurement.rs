@@ -21,7 +21,7 @@ use crate::method::noise::{Estimated, Noise};
 use crate::method::omnibus::COVARIATE_LEVEL;
 use crate::method::search::declared;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
-use crate::verify::{HeldOut, SessionModel, VerifyOptions};
+use crate::verify::{HeldOut, SessionModel, SessionText, VerifyOptions};
 use nalgebra::Vector2;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::WhiskerRow;
@@ -81,29 +81,13 @@ fn ratio(a: f64, b: f64) -> f64 {
     (a / b).max(b / a)
 }
 
-impl SessionModel for WhiskerSystem {
-    type Row = WhiskerRow;
-    type Predictions = Predictions;
-
+impl SessionText for WhiskerSystem {
     fn kind(&self) -> &'static str {
         "whisker"
     }
 
     fn unit(&self) -> String {
         "pm".to_owned()
-    }
-
-    fn noise_factor(&self) -> f64 {
-        Self::noise_factor(self)
-    }
-
-    fn origin(&self, reading: usize) -> Origin {
-        let row = self.row(reading);
-        Origin { source: row.source.clone(), line: row.line, point: row.point, role: row.role }
-    }
-
-    fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
-        inference::parameters(self, h, effect)
     }
 
     fn nuisances(&self) -> &'static str {
@@ -116,6 +100,35 @@ impl SessionModel for WhiskerSystem {
             1 | 2 => format!("K_{column}"),
             later => format!("zero of seating {}", later - 1),
         }
+    }
+
+    fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
+        let mut notes = vec!["Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned()];
+        notes.extend(cross_check(self, found));
+        notes.extend(model_error(self, found));
+        notes.extend(unsteady(self));
+        notes.extend(clock(self));
+        notes.extend(self.second_witness(found, accepted).map(|s| witness_note(&s)));
+        notes.extend(spread_of_zeros(self, &accepted.fit).map(|b| b.note()));
+        notes
+    }
+}
+
+impl SessionModel for WhiskerSystem {
+    type Row = WhiskerRow;
+    type Predictions = Predictions;
+
+    fn noise_factor(&self) -> f64 {
+        Self::noise_factor(self)
+    }
+
+    fn origin(&self, reading: usize) -> Origin {
+        let row = self.row(reading);
+        Origin { source: row.source.clone(), line: row.line, point: row.point, role: row.role }
+    }
+
+    fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
+        inference::parameters(self, h, effect)
     }
 
     fn twin_faults(&self) -> Vec<TwinFault> {
@@ -313,17 +326,6 @@ impl SessionModel for WhiskerSystem {
 
     fn between_sessions(&self, accepted: &Hypothesis) -> Option<Estimated> {
         spread_of_zeros(self, &accepted.fit).map(|b| b.session)
-    }
-
-    fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
-        let mut notes = vec!["Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned()];
-        notes.extend(cross_check(self, found));
-        notes.extend(model_error(self, found));
-        notes.extend(unsteady(self));
-        notes.extend(clock(self));
-        notes.extend(self.second_witness(found, accepted).map(|s| witness_note(&s)));
-        notes.extend(spread_of_zeros(self, &accepted.fit).map(|b| b.note()));
-        notes
     }
 }
 

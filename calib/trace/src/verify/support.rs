@@ -1,0 +1,66 @@
+//! Which terms of an explanation the data support: each passes, beside the others, the level at which the search names, and the joint 95 % region of
+//! its amplitudes does not hold zero.
+
+use super::session_model::SessionModel;
+use crate::effect::Role;
+use crate::method::fit::{Fit, fit};
+use crate::method::hypothesis::{Hypothesis, SearchResult};
+use crate::method::inference::covariance;
+use crate::method::min_p::f_test;
+use crate::method::omnibus::CATALOGUE_LEVEL;
+use nalgebra::{DMatrix, DVector};
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+
+/// `h` without the terms that are none: beside the others each has to pass the level at which the search names. The least supported one
+/// first; itself where all are.
+#[must_use]
+pub fn supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Hypothesis {
+    let mut kept = h.clone();
+    while let Some(without) = least_supported(model, found, &kept) {
+        kept = without;
+    }
+    kept
+}
+
+/// `h` refitted without its least supported term, where that is none.
+fn least_supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Option<Hypothesis> {
+    let without = |term: usize| {
+        let mut terms = h.fit.terms.clone();
+        terms.remove(term);
+        let fit = fit(model, &terms, &h.weights, 15)?;
+        let extra = (fit.dof - h.fit.dof).max(1.0) as usize;
+        let p = found.first_test.family.adjusted(f_test(fit.ssr - h.fit.ssr, fit.ssr, fit.dof, extra));
+        Some((p, Hypothesis { fit, ..h.clone() }))
+    };
+    (0..h.fit.terms.len())
+        .filter_map(|term| {
+            let (p, without) = without(term)?;
+            (p >= CATALOGUE_LEVEL || amplitudes_hold_zero(model, &h.fit, term)).then_some((p, without))
+        })
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, without)| without)
+}
+
+/// The joint 95 % region of a term's amplitudes, linear coefficients among them, holds zero (Wald). Each by itself may well hold it: sine and
+/// cosine of an error whose period is not known exactly do.
+fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> bool {
+    let (q, channels) = (fit.design.ncols(), fit.residual.ncols());
+    let laws: Vec<_> = fit.terms.iter().map(|t| model.catalogue()[t.effect].law(t.law)).collect();
+    let own: usize = laws.iter().map(|l| l.linear.len()).sum();
+    // Columns and values follow the terms.
+    let first_column = q - own.min(q) + laws[..term].iter().map(|l| l.linear.len()).sum::<usize>();
+    let first_slot = q * channels + laws[..term].iter().map(|l| l.parameters.len()).sum::<usize>();
+    let linear = (first_column..first_column + laws[term].linear.len())
+        .flat_map(|j| (0..channels).map(move |k| (fit.coefficients[(j, k)], k * q + j)));
+    let values = laws[term].parameters.iter().zip(&fit.terms[term].values).enumerate();
+    let values = values
+        .filter(|(_, (p, _))| matches!(p.role, Role::Amplitude { .. }))
+        .map(|(k, (_, value))| (*value, first_slot + k));
+    let amplitudes: Vec<(f64, usize)> = linear.chain(values).collect();
+    let (n, c) = (amplitudes.len(), covariance(fit, fit.variance()));
+    let values = DVector::from_iterator(n, amplitudes.iter().map(|a| a.0));
+    let spread = DMatrix::from_fn(n, n, |i, j| c[(amplitudes[i].1, amplitudes[j].1)]);
+    let Some(factor) = spread.cholesky() else { return true };
+    let f = values.dot(&factor.solve(&values)) / n as f64;
+    FisherSnedecor::new(n as f64, fit.dof.max(1.0)).map_or(true, |d| d.sf(f) >= 0.05)
+}

@@ -6,8 +6,8 @@ use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::report::read_page;
 use crate::verify::{self, VerifyOrder, print_text, verify_session};
 use anyhow::{Context, bail};
-use picture::sweep_picture;
 use clap::Args;
+use picture::sweep_picture;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::files::write_atomic;
@@ -64,8 +64,12 @@ const RECORDINGS: &[Recording] = &[
 ];
 
 /// The measured sweep of the paper's whisker over a bottle.
-const SWEEP: Recording =
-    recording!("bottle", "whiskerfbg_bottle", ["session.toml", "points.csv", "object.stl", "released_contacts.csv"], None);
+const SWEEP: Recording = recording!(
+    "bottle",
+    "whiskerfbg_bottle",
+    ["session.toml", "points.csv", "object.stl", "released_contacts.csv"],
+    None
+);
 
 /// Title of the first page, by which an earlier demonstration is told.
 const TITLE: &str = "wcal demo";

@@ -101,7 +101,13 @@ pub struct TrackArgs {
     #[arg(long, value_name = "STL")]
     pub object: Option<PathBuf>,
     /// Where that mesh lies in the frame of the base's poses: place (mm) and unit quaternion; without it the contacts place it themselves
-    #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", value_delimiter = ',', allow_hyphen_values = true, requires = "object")]
+    #[arg(
+        long,
+        value_name = "X,Y,Z,QW,QX,QY,QZ",
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        requires = "object"
+    )]
     pub object_pose: Option<Vec<f64>>,
     /// Standard deviation of that place in each coordinate, mm
     #[arg(long, value_name = "MM", default_value_t = PLACED_SD_MM)]

@@ -38,13 +38,18 @@ fn map(folder: &Path) -> String {
     let (session, out) = (fixture("whiskerfbg"), folder.join("map"));
     let run = wcal(&["fit-gpr", path(&session), "--labels", "rod", "--out", path(&out)]);
     assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
-    assert!(text(&run.stdout).contains("another zero than the loaded poses: left out"), "{}", text(&run.stdout));
+    assert!(
+        text(&run.stdout).contains("another zero than the loaded poses: left out"),
+        "{}",
+        text(&run.stdout)
+    );
     out.join("calibration.json").to_str().unwrap().to_owned()
 }
 
 fn track(calibration: &str, source: &Path, more: &[&str]) -> Tracked {
     let out = source.with_extension("track.csv");
-    let arguments = ["track", path(source), "--calibration", calibration, "--force", "--out", path(&out), "--json"];
+    let arguments =
+        ["track", path(source), "--calibration", calibration, "--force", "--out", path(&out), "--json"];
     let run = wcal(&[&arguments[..], more].concat());
     let said = text(&run.stderr);
     let summary = serde_json::from_slice(&run.stdout).unwrap_or_else(|e| unreachable!("{e}: {said}"));
@@ -152,7 +157,8 @@ fn a_drifting_zero_is_named() {
         // Two more seconds in which the wire is clear of the bottle.
         for k in 0..10 {
             let mut r = rows[last - 1];
-            (r[0], r[1], r[4]) = ((last + k) as f64, r[1] + 0.2 * (k + 1) as f64, r[4] + 0.8 * (k + 1) as f64);
+            (r[0], r[1], r[4]) =
+                ((last + k) as f64, r[1] + 0.2 * (k + 1) as f64, r[4] + 0.8 * (k + 1) as f64);
             rows.push(r);
         }
         let end_s = rows[rows.len() - 1][1];
@@ -161,6 +167,10 @@ fn a_drifting_zero_is_named() {
     });
     let run = track(&calibration, &drifting, &[]);
     println!("{}", run.said);
-    assert!(run.said.contains("the zero drifts: where the wire is clear of the object again"), "{}", run.said);
+    assert!(
+        run.said.contains("the zero drifts: where the wire is clear of the object again"),
+        "{}",
+        run.said
+    );
     assert_eq!(run.code, 3, "{}", run.said);
 }

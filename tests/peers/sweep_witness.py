@@ -3,8 +3,8 @@
     cargo run --example hidden_sweeps -- 500 30 hidden
     python3 tests/peers/sweep_witness.py target/debug/wcal hidden/*
 
-For each hidden sweep: the map of its 27 poses by the rod (`fit-gpr --labels rod`), then `track` with nothing changed, moments 20 % too large and too small, the
-motion's clock a second ahead and behind, the map of the next sweep's whisker, and a calibration with a dead zone of 0.5 N mm that is not there. Printed for each:
+For each hidden sweep: the map of its 27 poses by the rod (`fit-gpr --labels rod`), then `track` with nothing changed, moments 20 % too large, the
+motion's clock a second ahead, the map of the next sweep's whisker, and a calibration with a dead zone of 0.5 N mm that is not there. Printed for each:
 how many the object refutes, with the Clopper-Pearson interval, and how many of them have the right suspect among those that explain it.
 """
 
@@ -17,6 +17,7 @@ import sys
 
 POSE = "0,0,0,1,0,0,0"
 FREE = 5
+MAX_READINGS = 80
 DEAD_ZONE_NMM = 0.5
 
 
@@ -96,17 +97,18 @@ def main():
         run(program, folder, "fit-gpr", "session", "--labels", "rod", "--out", "map", "--force")
         if (folder / "map/calibration.json").exists():
             calibrations[folder] = folder / "map/calibration.json"
-    names = {"nothing": None, "gain 1.2": "gain", "gain 0.8": "gain", "clock +1 s": "clock", "clock -1 s": "clock", "another whisker": None, "dead zone": None}
+    names = {"nothing": None, "gain 1.2": "gain", "clock +1 s": "clock", "another whisker": None, "dead zone": None}
     refuted, told, unjudged = ({n: 0 for n in names} for _ in range(3))
     used = list(calibrations)
     for k, folder in enumerate(used):
         readings, base = read(folder / "readings.csv"), read(folder / "base.csv")
+        # As a slower interrogator reads them.
+        readings = readings[:: max(1, len(readings) // MAX_READINGS)]
         own, other = calibrations[folder], calibrations[used[(k + 1) % len(used)]]
         law = json.loads(own.read_text())["model"]["law"]["k_pm_per_nmm"]
         gain = lambda by: moments_changed(readings, law, lambda m: [by * v for v in m])
         clock = lambda by: [{**r, "t_s": f"{float(r['t_s']) + by:.6f}"} for r in base]
-        variants = {"nothing": (readings, base, own), "gain 1.2": (gain(1.2), base, own), "gain 0.8": (gain(0.8), base, own), "clock +1 s": (readings, clock(1.0), own),
-                    "clock -1 s": (readings, clock(-1.0), own), "another whisker": (readings, base, other),
+        variants = {"nothing": (readings, base, own), "gain 1.2": (gain(1.2), base, own), "clock +1 s": (readings, clock(1.0), own), "another whisker": (readings, base, other),
                     "dead zone": (moments_changed(readings, law, dead_zone), base, own)}
         for name, variant in variants.items():
             j = judged(program, folder, name.replace(" ", "_"), *variant)

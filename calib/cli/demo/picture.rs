@@ -12,8 +12,7 @@ use wcal_sim::Mesh;
 /// Slices of the object on either side of the wire's plane, and their distance, mm.
 const SLICES: i32 = 3;
 const SLICE_MM: f64 = 10.0;
-const POSE: [&str; 7] =
-    ["base_x_mm", "base_y_mm", "base_z_mm", "base_qw", "base_qx", "base_qy", "base_qz"];
+const POSE: [&str; 7] = ["base_x_mm", "base_y_mm", "base_z_mm", "base_qw", "base_qx", "base_qy", "base_qz"];
 
 /// From the files of a demonstration: contacts beside those of the released network, the wire at first touch, the bottle.
 ///
@@ -31,7 +30,8 @@ pub fn sweep_picture(place: &Path) -> Result<SweepPicture> {
     // The wire at rest, where the first contact was found.
     let first = own.first().map_or(0, |r| r.0);
     let poses = rows(&table(&session.points)?, &POSE)?;
-    let base = poses.iter().find(|r| r.0 == first).and_then(|r| pose_of(&r.1)).unwrap_or_else(Isometry3::identity);
+    let base =
+        poses.iter().find(|r| r.0 == first).and_then(|r| pose_of(&r.1)).unwrap_or_else(Isometry3::identity);
     let shape = rows(&table(&whisker.join("rest_shape.csv"))?, &["x_mm", "y_mm", "z_mm"])?;
     let wire_mm = shape.iter().map(|r| base.transform_point(&point(&r.1).into()).coords.into()).collect();
     let slice = |z_mm: f64| slice(&mesh, &pose, z_mm);
@@ -47,9 +47,15 @@ pub fn sweep_picture(place: &Path) -> Result<SweepPicture> {
         wire_mm,
         wire: "the wire at rest, at first touch (line)".into(),
         contacts_mm: vec![
-            (format!("{} contacts by the map of the 27 poses, along the known motion", own.len()), points(&own)),
             (
-                format!("{} contacts of the released network ({mean:.2} mm from the bottle in the mean)", released.len()),
+                format!("{} contacts by the map of the 27 poses, along the known motion", own.len()),
+                points(&own),
+            ),
+            (
+                format!(
+                    "{} contacts of the released network ({mean:.2} mm from the bottle in the mean)",
+                    released.len()
+                ),
                 points(&released),
             ),
         ],
@@ -104,15 +110,13 @@ fn point(cells: &[f64]) -> Vector3<f64> {
 
 /// Where a plane of constant z cuts the triangles of a mesh.
 fn slice(mesh: &Mesh, pose: &Isometry3<f64>, z_mm: f64) -> Vec<[[f64; 3]; 2]> {
-    let corners: Vec<Vector3<f64>> =
-        mesh.points().map(|p| pose.transform_point(&p.into()).coords).collect();
+    let corners: Vec<Vector3<f64>> = mesh.points().map(|p| pose.transform_point(&p.into()).coords).collect();
     let cut = |t: &[u32; 3]| -> Option<[[f64; 3]; 2]> {
         let p = t.map(|k| corners[k as usize]);
         let edges = [(0, 1), (1, 2), (2, 0)];
         let crossed = edges.iter().filter(|(a, b)| (p[*a].z < z_mm) != (p[*b].z < z_mm));
-        let ends: Vec<[f64; 3]> = crossed
-            .map(|(a, b)| p[*a].lerp(&p[*b], (z_mm - p[*a].z) / (p[*b].z - p[*a].z)).into())
-            .collect();
+        let ends: Vec<[f64; 3]> =
+            crossed.map(|(a, b)| p[*a].lerp(&p[*b], (z_mm - p[*a].z) / (p[*b].z - p[*a].z)).into()).collect();
         ends.try_into().ok()
     };
     mesh.triangles().iter().filter_map(cut).collect()

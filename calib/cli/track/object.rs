@@ -43,7 +43,10 @@ impl PassedObject {
                     })
                 });
                 let sd_mm = args.object_sd_mm;
-                ensure!((0.0..=MAX_SD_MM).contains(&sd_mm), "--object-sd-mm: expected 0 to {MAX_SD_MM} mm, found {sd_mm}");
+                ensure!(
+                    (0.0..=MAX_SD_MM).contains(&sd_mm),
+                    "--object-sd-mm: expected 0 to {MAX_SD_MM} mm, found {sd_mm}"
+                );
                 Some(SweepSession {
                     id: table.display().to_string(),
                     points: table.to_owned(),
@@ -69,7 +72,8 @@ impl PassedObject {
     /// # Errors
     /// Where mesh or table cannot be read.
     pub fn judge(&self, loaded: &WhiskerModel<'_>) -> Result<Option<ObjectJudgement>> {
-        let Some(declared) = loaded.file.whisker.as_ref().filter(|_| self.sweep.world_from_object.is_some()) else {
+        let Some(declared) = loaded.file.whisker.as_ref().filter(|_| self.sweep.world_from_object.is_some())
+        else {
             return Ok(None);
         };
         let axes = loaded.file.frame.as_ref().map_or_else(MomentAxes::default, CalibrationFrame::moments);
@@ -125,7 +129,8 @@ pub fn say_object_score(score: Option<&MeshScore>) {
             free.distances.rmse_mm,
             free.distances.p95_mm
         ),
-        None => "; its place was fitted to them (six numbers: --object-pose takes it where it is known)".to_owned(),
+        None => "; its place was fitted to them (six numbers: --object-pose takes it where it is known)"
+            .to_owned(),
     };
     eprintln!(
         "{} contacts lie {:.2} mm RMS from the object's mesh (mean {:.2}, median {:.2}, 95 % below {:.2}){placed}",

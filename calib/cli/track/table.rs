@@ -11,14 +11,16 @@ use wcal_contact::estimator::Estimator;
 use wcal_contact::known_groove::KnownGroove;
 use wcal_contact::known_motion_table::KnownMotionTable;
 use wcal_contact::moments_alone::MomentsAlone;
-use wcal_contact::object_judgement::ObjectJudgement;
 use wcal_contact::motion_table::{LoggedMotion, has_motion, read};
+use wcal_contact::object_judgement::ObjectJudgement;
 use wcal_contact::reading::Reading;
 use wcal_contact::session_groove::{moment_field, session_readings, without_groove};
 use wcal_contact::sweep_filter::SweepFilter;
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::TableSource;
-use wcal_contact::track_document::{AXIS_OF_WIRE, LogDocument, TRACK_FORMAT, TableDocument, TrackDocument, TrackSource};
+use wcal_contact::track_document::{
+    AXIS_OF_WIRE, LogDocument, TRACK_FORMAT, TableDocument, TrackDocument, TrackSource,
+};
 use wcal_contact::trust::WhiskerModel;
 use wcal_contact::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
 use wcal_contact::zero::{Beginning, beginning};

@@ -130,6 +130,11 @@ impl Estimator for SweepFilter {
             self.loaded,
             self.readings.len()
         );
-        Findings { document, messages: vec![Message::note(message)], doubt: self.loaded > 0, ..Findings::default() }
+        Findings {
+            document,
+            messages: vec![Message::note(message)],
+            doubt: self.loaded > 0,
+            ..Findings::default()
+        }
     }
 }

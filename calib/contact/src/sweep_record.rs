@@ -127,11 +127,13 @@ impl SweepZero {
             / (2.0 * (free - 1) as f64);
         let largest_nmm = moments.iter().map(|m| (m - zero).norm()).fold(0.0, f64::max);
         let count = rows.iter().map(|r| r.shared_nmm.len()).min().unwrap_or(0);
-        let shared = |k: usize| rows[..free].iter().map(|r| r.shared_nmm[k]).sum::<Vector2<f64>>() / free as f64;
+        let shared =
+            |k: usize| rows[..free].iter().map(|r| r.shared_nmm[k]).sum::<Vector2<f64>>() / free as f64;
         let shared_nmm = (0..count).map(shared).collect();
-        let after = clear.iter().rev().take_while(|c| **c).count();
-        // A wire that is released rings out within a reading or two.
-        let end = rows.len() - after.min(rows.len() - free).saturating_sub(2)..rows.len();
+        // A wire may hang on where the free one is clear: the end is free where it is steady, too.
+        let after = clear[free..].iter().rev().take_while(|c| **c).count();
+        let backward: Vec<Vector2<f64>> = moments[rows.len() - after..].iter().rev().copied().collect();
+        let end = rows.len() - steady(&backward, 0.0).map_or(0, |s| s.count)..rows.len();
         let drift_nmm = (end.len() >= MIN_FREE).then(|| (mean(end.clone()) - zero).norm()).filter(|off| {
             let sd = (2.0 * variance * (1.0 / free as f64 + 1.0 / end.len() as f64)).sqrt();
             *off > (DRIFT_SDS * sd).max(DRIFT_SHARE * largest_nmm)

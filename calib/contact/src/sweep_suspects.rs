@@ -45,11 +45,15 @@ pub fn suspects(
     let record = witness.record(calibration, declared)?;
     let usual = Trial::default();
     let gains = GAINS.map(|gain| (format!("moments {gain} times as large"), Trial { gain, ..usual }));
-    let clocks = CLOCKS_S.iter().flat_map(|s| [*s, -*s]).map(|clock_s| {
-        (format!("the motion's clock ahead by {clock_s:+} s"), Trial { clock_s, ..usual })
-    });
-    let units = [(1e3, "metres, stated as millimetres"), (1e-3, "micrometres, stated as millimetres")]
-        .map(|(scale, what)| (format!("the motion in {what}"), Trial { motion: Matrix3::identity() * scale, ..usual }));
+    let clocks = CLOCKS_S
+        .iter()
+        .flat_map(|s| [*s, -*s])
+        .map(|clock_s| (format!("the motion's clock ahead by {clock_s:+} s"), Trial { clock_s, ..usual }));
+    let units = [(1e3, "metres, stated as millimetres"), (1e-3, "micrometres, stated as millimetres")].map(
+        |(scale, what)| {
+            (format!("the motion in {what}"), Trial { motion: Matrix3::identity() * scale, ..usual })
+        },
+    );
     let axes = turns().into_iter().map(|(what, motion)| (what, Trial { motion, ..usual }));
     let place = Trial { placed_sd_mm: Some(PLACED_SD_MM), ..usual };
     let place = ("the object some millimetres away from its stated place".to_owned(), place);

@@ -44,6 +44,8 @@ const LEVER_MM_PER_RAD: f64 = 12.0;
 const CLEAR_MM: f64 = 0.5;
 /// Readings in contact that can judge at least.
 const MIN_SAMPLES: usize = 10;
+/// Readings that judge at most: denser ones say the same again.
+const MAX_SAMPLES: usize = 60;
 /// A reading is loaded beyond this many standard deviations of the free ones, or this share of the largest moment.
 const LOADED_SD: f64 = 5.0;
 const LOADED_SHARE: f64 = 0.02;
@@ -120,8 +122,8 @@ impl SweepWitness {
                 "none",
             ));
         };
-        let frame = WireFrame::new(declared, axes)
-            .map_err(|e| ContactError::value(e.key, e.expected, e.found))?;
+        let frame =
+            WireFrame::new(declared, axes).map_err(|e| ContactError::value(e.key, e.expected, e.found))?;
         let whisker = frame.whisker(declared);
         let (id, mesh) = (session.id.clone(), Mesh::read(object)?);
         let (poses, inverse) = (poses.max(1), OnceLock::new());
@@ -158,7 +160,11 @@ impl SweepWitness {
         let Some(zero) = SweepZero::new(&rows, &clear) else {
             let expected = format!("readings before the wire comes within {clear_mm:.1} mm of the object");
             let free = clear.iter().take_while(|c| **c).count();
-            return Err(ContactError::value(place(), expected, format!("{free}: the sweep has no zero of its own")));
+            return Err(ContactError::value(
+                place(),
+                expected,
+                format!("{free}: the sweep has no zero of its own"),
+            ));
         };
         let largest = zero.largest_nmm;
         let loaded_nmm = (LOADED_SD * zero.variance_nmm2.sqrt()).max(LOADED_SHARE * largest);
@@ -167,6 +173,8 @@ impl SweepWitness {
         // A single loaded reading is an outlier.
         let loaded = |k: &usize| load(*k) > loaded_nmm && (*k == peak || load(*k + 1) > loaded_nmm);
         let touching: Vec<&SweepRow> = (zero.free..=peak).filter(loaded).map(|k| &rows[k]).collect();
+        let every = touching.len().div_ceil(MAX_SAMPLES).max(1);
+        let touching: Vec<&SweepRow> = touching.into_iter().step_by(every).collect();
         if touching.len() < MIN_SAMPLES {
             let found = format!("{} beyond {loaded_nmm:.3} N mm: the wire touches nothing", touching.len());
             return Err(ContactError::value(place(), format!("{MIN_SAMPLES} loaded readings"), found));
@@ -204,7 +212,7 @@ impl SweepWitness {
     /// The table of the wire, for moments up to the largest of the first verdict with a margin.
     fn inverse(&self, largest_nmm: f64) -> Result<&StaticInverse, ContactError> {
         if self.inverse.get().is_none_or(|(max, _)| *max < largest_nmm + STEP_NMM) {
-            let grid = InverseGrid::default();
+            let grid = InverseGrid::coarse();
             let max_nmm = grid.max_nmm.max(TABLE_REACH * largest_nmm + STEP_NMM);
             let made = StaticInverse::new(&self.whisker, InverseGrid { max_nmm, ..grid })?;
             let _ = self.inverse.set((max_nmm, made));
@@ -293,9 +301,7 @@ impl SweepWitness {
         (zero_nmm2, spacing_nmm, placed_sd_mm): (Matrix2<f64>, f64, f64),
     ) -> DMatrix<f64> {
         let n = rows.len();
-        let root = |i: usize| {
-            root2(&rows[i].noise_nmm2).transpose() * gaps[i].by_moment
-        };
+        let root = |i: usize| root2(&rows[i].noise_nmm2).transpose() * gaps[i].by_moment;
         let misfit: Vec<Vector2<f64>> = (0..n).map(root).collect();
         let shared: Vec<Vec<f64>> =
             (0..n).map(|i| shared_nmm[i].iter().map(|h| gaps[i].by_moment.dot(h)).collect()).collect();

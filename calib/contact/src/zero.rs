@@ -177,7 +177,9 @@ mod tests {
     #[test]
     fn the_free_beginning_is_the_zero_and_says_what_the_noise_is() {
         let readings = record(0.2);
-        let Beginning::Free { span_s, readings: free, noise_nmm2 } = beginning(&readings, true) else { panic!() };
+        let Beginning::Free { span_s, readings: free, noise_nmm2 } = beginning(&readings, true) else {
+            panic!()
+        };
         assert!(free == 10 && (span_s - 0.95).abs() < 1e-9, "{free} {span_s}");
         assert!((0.001..0.003).contains(&noise_nmm2[(0, 0)].sqrt()), "{noise_nmm2}");
         let mut zero = Zero::new(span_s);
@@ -195,7 +197,9 @@ mod tests {
 
     #[test]
     fn a_record_that_begins_in_contact_has_no_free_beginning() {
-        let Beginning::Loaded(nmm) = beginning(&record(3.0), true) else { panic!("{:?}", beginning(&record(3.0), true)) };
+        let Beginning::Loaded(nmm) = beginning(&record(3.0), true) else {
+            panic!("{:?}", beginning(&record(3.0), true))
+        };
         assert!((nmm - 3.0).abs() < 0.01);
         // A calibration without the zero of the free wire takes the steady beginning for free.
         assert!(matches!(beginning(&record(3.0), false), Beginning::Free { readings: 10, .. }));

@@ -63,9 +63,8 @@ impl SweepPicture {
         let contacts = || self.contacts_mm.iter().flat_map(|c| &c.1);
         let shown: Vec<[f64; 2]> = contacts().chain(&self.wire_mm).map(place).collect();
         let [across, up] = equal_scales(&shown);
-        let inside = |p: &[f64; 2]| {
-            (across[0]..=across[1]).contains(&p[0]) && (up[0]..=up[1]).contains(&p[1])
-        };
+        let inside =
+            |p: &[f64; 2]| (across[0]..=across[1]).contains(&p[0]) && (up[0]..=up[1]).contains(&p[1]);
         let mut outline = Vec::new();
         for [a, b] in object.iter().map(|s| [place(&s[0]), place(&s[1])]) {
             if inside(&a) && inside(&b) {
@@ -78,7 +77,12 @@ impl SweepPicture {
         // What was found lies over the others.
         for (k, (_, at)) in self.contacts_mm.iter().enumerate().rev() {
             let (class, marker) = series(k);
-            layers.push(Layer::Points { class, marker, at: at.iter().map(place).collect(), titles: Vec::new() });
+            layers.push(Layer::Points {
+                class,
+                marker,
+                at: at.iter().map(place).collect(),
+                titles: Vec::new(),
+            });
         }
         Plot {
             title: title.to_owned(),

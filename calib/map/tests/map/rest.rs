@@ -33,7 +33,10 @@ fn the_measured_rest_reading_has_another_zero() {
     let training = whiskerfbg();
     let rest = test_rest(&training, &FitOptions::default()).unwrap().unwrap();
     assert!(rest.left_out && rest.readings == 1, "{rest:?}");
-    assert!((rest.offset_nmm[0] + 0.118).abs() < 0.001 && (rest.offset_nmm[1] + 0.661).abs() < 0.001, "{rest:?}");
+    assert!(
+        (rest.offset_nmm[0] + 0.118).abs() < 0.001 && (rest.offset_nmm[1] + 0.661).abs() < 0.001,
+        "{rest:?}"
+    );
     // Nothing to test, or nothing to test with.
     assert_eq!(test_rest(&training.loaded(), &FitOptions::default()).unwrap(), None);
 }

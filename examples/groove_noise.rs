@@ -15,7 +15,7 @@ use wcal_core::SessionData;
 use wcal_core::verify_document::Verdict;
 use wcal_exam::clopper_pearson;
 use wcal_plant::session::draw_under;
-use wcal_plant::{Design, Make, Noise, Request, Want};
+use wcal_plant::{CaseKind, Design, Make, Noise, Request};
 use wcal_trace::verify::VerifyOptions;
 use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};
 
@@ -98,7 +98,7 @@ fn main() -> Result<()> {
 
 /// A session without an effect through `verify`'s loop; none where the session is refused.
 fn verified(seed: u64, design: Design, noise: Noise) -> Result<Option<WhiskerVerification>> {
-    let request = Request { seed, design, want: Want::Null, target_sigma: 20.0, rivals: false };
+    let request = Request { seed, design, want: CaseKind::Null, target_sigma: 20.0, rivals: false };
     let folder = tempfile::tempdir()?;
     draw_under(&request, noise, Make::Usual)?.write(folder.path())?;
     let session = wcal_session::load(folder.path())?;

@@ -83,7 +83,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
     let own = ResultKind {
         command: "demo",
         document: "report.html",
-        says: TITLE,
+        format_prefix: TITLE,
         files: &[],
         kept: &names,
         resumes: false,

@@ -69,7 +69,7 @@ pub struct EvaluateArgs {
 const RESULT: ResultKind<'_> = ResultKind {
     command: "evaluate",
     document: "evaluation.json",
-    says: "wcal-evaluation/",
+    format_prefix: "wcal-evaluation/",
     files: &["report.html"],
     kept: &[],
     resumes: false,
@@ -98,7 +98,7 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     let args = &args.quickened();
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let progress = Progress::new("evaluate");
-    progress.says("reading model and sweeps");
+    progress.format_prefix("reading model and sweeps");
     let (tracker, card) = load(&args.model, &burn_device())?;
     let shipped = || Some(args.model.join("baseline")).filter(|folder| folder.join("model.json").is_file());
     let baseline = args.baseline.clone().or_else(shipped).map(|f| baseline(&f, &card)).transpose()?;

@@ -5,7 +5,7 @@ use clap::Args;
 use std::fmt::Write as _;
 use std::process::ExitCode;
 use std::sync::Arc;
-use wcal_trace::effect::{Effect, EffectModel, Need, Role};
+use wcal_trace::effect::{Effect, EffectModel, LawRequirement, Role};
 use wcal_trace::scalar::effects::scalar_catalogue;
 use wcal_trace::scalar::frame::{Declared, Frame, Scaling};
 use wcal_trace::whisker::effects::whisker_catalogue;
@@ -159,25 +159,27 @@ fn columns(kind: &str, effect: &dyn Effect) -> String {
     if all.is_empty() { "none beside the required ones".to_owned() } else { all.join(", ") }
 }
 
-fn column(kind: &str, need: Need) -> Option<&'static str> {
+fn column(kind: &str, need: LawRequirement) -> Option<&'static str> {
     match need {
-        Need::Time => Some("t_s"),
-        Need::Clock => Some("t_s, or rows in the order in which they were taken"),
-        Need::Order => Some("rows in the order in which they were taken"),
-        Need::Temperature if kind == "whisker" => Some("temperature_degc or fbg_ref_nm"),
-        Need::Temperature => Some("temperature_degc"),
-        Need::BothDirections => Some("direction, or t_s with rising and falling stimulus"),
-        Need::Motion => Some("t_s, speed_mm_s above 0 (readings while the stage moves)"),
-        Need::MovingBase => {
+        LawRequirement::Time => Some("t_s"),
+        LawRequirement::Clock => Some("t_s, or rows in the order in which they were taken"),
+        LawRequirement::Order => Some("rows in the order in which they were taken"),
+        LawRequirement::Temperature if kind == "whisker" => Some("temperature_degc or fbg_ref_nm"),
+        LawRequirement::Temperature => Some("temperature_degc"),
+        LawRequirement::BothDirections => Some("direction, or t_s with rising and falling stimulus"),
+        LawRequirement::Motion => Some("t_s, speed_mm_s above 0 (readings while the stage moves)"),
+        LawRequirement::MovingBase => {
             Some("none: on the stage the base does not move, so it is never observable there")
         }
-        Need::Weight => Some("none; session.toml gives density_kg_m3 and the direction of gravity"),
-        Need::Covariate => Some("a further covariate"),
-        Need::RestReadings => Some("a reading at rest (role rest, or no trajectory)"),
-        Need::Pictures => Some("none; `[files] shapes` of session.toml names what the cameras saw"),
-        Need::StraightArc => Some("none; session.toml gives straight_mm and arc_radius_mm"),
-        Need::MovingPictures => Some("t_s, speed_mm_s above 0 and pictures taken while the stage moves"),
-        Need::Slope => None,
+        LawRequirement::Weight => Some("none; session.toml gives density_kg_m3 and the direction of gravity"),
+        LawRequirement::Covariate => Some("a further covariate"),
+        LawRequirement::RestReadings => Some("a reading at rest (role rest, or no trajectory)"),
+        LawRequirement::Pictures => Some("none; `[files] shapes` of session.toml names what the cameras saw"),
+        LawRequirement::StraightArc => Some("none; session.toml gives straight_mm and arc_radius_mm"),
+        LawRequirement::MovingPictures => {
+            Some("t_s, speed_mm_s above 0 and pictures taken while the stage moves")
+        }
+        LawRequirement::Slope => None,
     }
 }
 

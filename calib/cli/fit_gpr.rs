@@ -75,7 +75,7 @@ pub enum Hyperparameters {
 const RESULT: ResultKind<'_> = ResultKind {
     command: "fit-gpr",
     document: "fit-gpr.json",
-    says: "wcal-map/",
+    format_prefix: "wcal-map/",
     files: &["calibration.json", "report.html"],
     kept: &[],
     resumes: false,
@@ -103,7 +103,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     }
     let default = if data.twin.is_empty() { LabelSource::Rod } else { LabelSource::Twin };
     let progress = Progress::new("fit-gpr");
-    progress.says("moments of the poses");
+    progress.format_prefix("moments of the poses");
     let labels = moment_labels(data, args.labels.unwrap_or(default))?;
     let (mut training, unlabelled) = training_set(data, &labels);
     for point in &unlabelled {
@@ -121,7 +121,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         fbg: data.fbg.clone(),
         ..FitOptions::default()
     };
-    progress.says("fitting and cross-validating the maps");
+    progress.format_prefix("fitting and cross-validating the maps");
     let whose = || format!("session {:?}", session.id);
     // The released map is reproduced as it is.
     let rest = if options.released { None } else { test_rest(&training, &options).with_context(whose)? };

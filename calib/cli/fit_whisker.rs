@@ -113,7 +113,7 @@ const RANGES: &[Range] = &[
 const RESULT: ResultKind<'_> = ResultKind {
     command: "fit-whisker",
     document: "whisker.toml",
-    says: "wcal-whisker/",
+    format_prefix: "wcal-whisker/",
     files: &["whisker.xml", "dynamics.csv", "dynamics.html", "dynamics.json"],
     kept: &[],
     resumes: false,
@@ -160,7 +160,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
         RestChoice::FreeCurvature => wcal_rod::RestChoice::FreeCurvature,
     };
     let progress = Progress::new("fit-whisker");
-    progress.says("rest shape");
+    progress.format_prefix("rest shape");
     let mut fit = fit_rest(&nominal, &usable, choice)?;
     let moved = moved_by_shared(&document, &usable);
     if moved.is_empty() {
@@ -185,7 +185,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
             fit.model.name()
         ));
     }
-    progress.says("stiffness");
+    progress.format_prefix("stiffness");
     let stiffness = args.moments.as_ref().map(|session| stiffness(session, &nominal, &fit)).transpose()?;
     if let Some(s) = &stiffness {
         warnings.extend(s.left_out.iter().map(|why| format!("moments: {why}: left out")));

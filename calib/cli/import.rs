@@ -243,7 +243,7 @@ fn name_of(value: impl ValueEnum) -> String {
 const RESULT: ResultKind<'_> = ResultKind {
     command: "import",
     document: "session.toml",
-    says: "command = [\"import\"",
+    format_prefix: "command = [\"import\"",
     files: &["points.csv", "holdout.csv", "rest_shape.csv", sweep::OBJECT],
     kept: &["unsealed.json"],
     resumes: false,

@@ -33,7 +33,7 @@ pub struct ResultKind<'a> {
     /// Name of the document that makes a folder a result.
     pub document: &'a str,
     /// What the document contains.
-    pub says: &'a str,
+    pub format_prefix: &'a str,
     /// Names of the other files.
     pub files: &'a [&'a str],
     /// Names that belong to the result and are never removed.
@@ -74,7 +74,7 @@ impl ResultKind<'_> {
                 others.get_or_insert(name);
             } else if matches(self.document, &name) {
                 let text = wcal_core::files::read_text(folder.join(&name)).unwrap_or_default();
-                let own = text.contains(self.says);
+                let own = text.contains(self.format_prefix);
                 // A damaged document of a command that goes on is one that it makes again.
                 if !own && (!self.resumes || text.contains("\"format\"")) {
                     return Ok(Some(name));
@@ -274,7 +274,7 @@ mod tests {
     const KIND: ResultKind<'_> = ResultKind {
         command: "verify",
         document: "verify.json",
-        says: "wcal-verify/",
+        format_prefix: "wcal-verify/",
         files: &["calibration.json", "overlay-*.png"],
         kept: &["unsealed.json"],
         resumes: false,
@@ -331,7 +331,7 @@ mod tests {
     fn what_goes_on_takes_its_own_damaged_documents_and_no_others() {
         let kind = ResultKind {
             document: "*.json",
-            says: "wcal-sweeps/",
+            format_prefix: "wcal-sweeps/",
             files: &["*.parquet"],
             resumes: true,
             ..KIND

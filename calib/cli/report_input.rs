@@ -134,15 +134,15 @@ pub fn of_scalar(
     }
     if let Some(s) = &done.spread {
         gate.push(GateTest {
-            name: data.declared().worded("spread against stimulus"),
+            name: data.declared().format_text("spread against stimulus"),
             statistic: Some(s.correlation),
             p_value: Some(s.p_value),
             detail: data
                 .declared()
-                .worded("correlation of the residuals' size with the stimulus, by permutation"),
+                .format_text("correlation of the residuals' size with the stimulus, by permutation"),
         });
     }
-    if let Some(s) = &done.steadiness {
+    if let Some(s) = &done.stationarity {
         gate.push(GateTest {
             name: "steadiness of the period".to_owned(),
             statistic: Some(s.z),

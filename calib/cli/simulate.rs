@@ -14,7 +14,7 @@ use clap::{Args, ValueEnum};
 use document::print;
 pub use inputs::whisker;
 pub use order::Order;
-use slurm::Handed;
+use slurm::RequestOutcome;
 pub use slurm::SlurmArgs;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -94,7 +94,7 @@ pub enum Engine {
 const RESULT: ResultKind<'_> = ResultKind {
     command: "simulate",
     document: "*.json",
-    says: "\"wcal-sweep",
+    format_prefix: "\"wcal-sweep",
     files: &["*.parquet", "report.html", "report.json"],
     kept: &["convex", "slurm"],
     resumes: true,
@@ -127,8 +127,8 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     let mut check = args.check;
     if args.slurm.slurm {
         match slurm::submit(&args.slurm, &args.out, dataset)? {
-            Handed::Printed => return Ok(ExitCode::SUCCESS),
-            Handed::Submitted(submission) => {
+            RequestOutcome::Printed => return Ok(ExitCode::SUCCESS),
+            RequestOutcome::Submitted(submission) => {
                 if args.json {
                     println!("{}", serde_json::to_string_pretty(&submission)?);
                 } else {
@@ -136,7 +136,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
                 }
                 return Ok(ExitCode::SUCCESS);
             }
-            Handed::Complete => {
+            RequestOutcome::Complete => {
                 eprintln!("simulate: every shard is there already: nothing is submitted, only checked");
                 check = true;
             }

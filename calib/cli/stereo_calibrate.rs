@@ -95,7 +95,7 @@ fn board_size(text: &str) -> Result<BoardSize, String> {
 const RESULT: ResultKind<'_> = ResultKind {
     command: "stereo-calibrate",
     document: "stereo.json",
-    says: "wcal-stereo/",
+    format_prefix: "wcal-stereo/",
     files: &["opencv.yml", "kalibr-camchain.yaml", "ros-*.yaml"],
     kept: &[],
     resumes: false,
@@ -144,7 +144,7 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
     let board = Board { size: args.board, square_mm: args.square_mm, pattern };
     let (mut document, _) = {
         let progress = Progress::new("stereo-calibrate");
-        calibrate_folders(&args.left, &args.right, &board, lens, &|stage| progress.says(stage))?
+        calibrate_folders(&args.left, &args.right, &board, lens, &|stage| progress.format_prefix(stage))?
     };
     let pictures = [list_pictures(&args.left)?, list_pictures(&args.right)?].concat();
     document.provenance = provenance(pictures.iter().chain(&args.reference).map(PathBuf::as_path));

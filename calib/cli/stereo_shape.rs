@@ -67,7 +67,7 @@ pub struct StereoShapeArgs {
 const RESULT: ResultKind<'_> = ResultKind {
     command: "stereo-shape",
     document: "shapes.json",
-    says: "wcal-shapes/",
+    format_prefix: "wcal-shapes/",
     // Pictures of earlier versions, which would be stale.
     files: &["report.html", "report.json", "overlay-*.png"],
     kept: &[],
@@ -93,7 +93,7 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
     if args.json {
         println!("{text}");
     }
-    let Judged { good, clean } = judged(&result);
+    let PairCounts { good, clean } = judged(&result);
     let place = args.out.clone().unwrap_or_default().join("shapes.json");
     anyhow::ensure!(
         good > 0,
@@ -181,13 +181,13 @@ fn put_results(
 }
 
 /// How many pairs can be used, and whether nothing was to be said of any.
-struct Judged {
+struct PairCounts {
     good: usize,
     clean: bool,
 }
 
 /// Says what was rejected and why.
-fn judged(result: &ShapesResult) -> Judged {
+fn judged(result: &ShapesResult) -> PairCounts {
     let document = &result.document;
     if document.provenance.simulated {
         eprintln!("stereo-shape: SIMULATED: the pictures are rendered, not taken");
@@ -207,7 +207,7 @@ fn judged(result: &ShapesResult) -> Judged {
         }
     }
     eprintln!("stereo-shape: {good} of {} pairs; processor time: {}", document.pairs.len(), result.times);
-    Judged { good, clean }
+    PairCounts { good, clean }
 }
 
 /// Mean of the pictures without the wire; their files are added to `files`.

@@ -105,7 +105,7 @@ const SWEEPS_EACH: u64 = 40;
 const RESULT: ResultKind<'_> = ResultKind {
     command: "train",
     document: "model.json",
-    says: "wcal-model/",
+    format_prefix: "wcal-model/",
     files: &["model.safetensors", "report.html"],
     kept: &["checkpoint", "baseline", "sweeps"],
     resumes: true,

@@ -93,7 +93,7 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
         Engine::Rod => {
             ensure!(args.report.is_none(), "--report: expected with --engine mujoco, found --engine rod");
             let progress = Progress::new("twin");
-            progress.says("rod");
+            progress.format_prefix("rod");
             by_rod(data)?
         }
         Engine::Mujoco => {

@@ -82,7 +82,7 @@ pub struct VerifyArgs {
 pub const RESULT: ResultKind<'_> = ResultKind {
     command: "verify",
     document: "verify.json",
-    says: "wcal-verify/",
+    format_prefix: "wcal-verify/",
     files: &["predictions.csv", "report.html", "report.json", "calibration.json", "judged-calibration.json"],
     kept: &["unsealed.json"],
     resumes: false,

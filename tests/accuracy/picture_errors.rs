@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Normal, Uniform};
 use wcal_core::shapes_document::{ErrorColumn, PairDocument, ShapesDocument};
-use wcal_plant::cameras::{Groove, Look, RigGeometry, clean, default_pair, exposed};
+use wcal_plant::cameras::{Appearance, Groove, RigGeometry, clean, default_pair, exposed};
 use wcal_plant::rod::Wire;
 use wcal_plant::table::{Path as GroovePath, equilibrium};
 use wcal_vision::calibrate::board::board_points;
@@ -92,7 +92,7 @@ struct Truth {
 /// Draws `count` pushes at random places, directions and depths, and finds their shapes. A pair that is rejected says why and is left out.
 fn folder(seed: u64, count: usize) -> (ShapesDocument, Vec<Truth>) {
     let place = tempfile::tempdir().unwrap();
-    let (rig, look, lenses) = (RigGeometry::default(), Look::default(), default_pair(SIZE));
+    let (rig, look, lenses) = (RigGeometry::default(), Appearance::default(), default_pair(SIZE));
     let wire = Wire::new(0.3, 60.0, 30.0, 20.0, 75.0, 28.2);
     let mut rng = ChaCha8Rng::seed_from_u64(1000 + seed);
     let unit = Uniform::new(0.0, 1.0).unwrap();

@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;
 use std::path::Path;
 use wcal_plant::cameras::{
-    CameraFaults, Groove, Lens, Look, RigGeometry, View, clean, default_pair, exposed,
+    Appearance, CameraFaults, Groove, Lens, RigGeometry, View, clean, default_pair, exposed,
 };
 use wcal_plant::rod::Wire;
 use wcal_plant::table::{Path as GroovePath, equilibrium};
@@ -47,7 +47,7 @@ fn poses(rig: &RigGeometry) -> Vec<Pose> {
 }
 
 /// Draws one pair into `folder`/left and right.
-fn draw(folder: &Path, name: &str, cameras: &[Lens; 2], view: &View, look: &Look, seed: u64) {
+fn draw(folder: &Path, name: &str, cameras: &[Lens; 2], view: &View, look: &Appearance, seed: u64) {
     for (k, (side, lens)) in ["left", "right"].iter().zip(cameras).enumerate() {
         let grey = exposed(&clean(lens, view, look), look, 2 * seed + k as u64);
         let place = folder.join(side);
@@ -59,7 +59,7 @@ fn draw(folder: &Path, name: &str, cameras: &[Lens; 2], view: &View, look: &Look
 }
 
 /// How far the program is from the truth: greatest error of the groove, of the contact's arc length, RMS of the centre line, mm; or its words.
-fn judged(rig: &RigGeometry, moved: Isometry3<f64>, look: &Look) -> Result<[f64; 3], String> {
+fn judged(rig: &RigGeometry, moved: Isometry3<f64>, look: &Appearance) -> Result<[f64; 3], String> {
     let place = tempfile::tempdir().unwrap();
     let at = |name: &str| place.path().join(name).display().to_string();
     let cameras = default_pair(SIZE);
@@ -69,7 +69,7 @@ fn judged(rig: &RigGeometry, moved: Isometry3<f64>, look: &Look) -> Result<[f64;
             &k.to_string(),
             &cameras,
             &rig.board_view(k),
-            &Look::default(),
+            &Appearance::default(),
             k as u64,
         );
     }
@@ -136,19 +136,19 @@ fn shift(mm: [f64; 3], deg: [f64; 3]) -> Isometry3<f64> {
 
 #[test]
 fn the_program_finds_the_plants_wire_and_groove() {
-    let found = judged(&RigGeometry::default(), Isometry3::identity(), &Look::default());
+    let found = judged(&RigGeometry::default(), Isometry3::identity(), &Appearance::default());
     assert!(good(&found), "{found:?}");
 }
 
 #[test]
 fn moved_cameras_wrong_boards_askew_tags_and_overexposure_show() {
-    let (rig, look) = (RigGeometry::default(), Look::default());
+    let (rig, look) = (RigGeometry::default(), Appearance::default());
     let with = |faults: CameraFaults| RigGeometry { faults, ..RigGeometry::default() };
     let none = CameraFaults::default();
     let still = Isometry3::identity();
     let board = with(CameraFaults { board_scale: 1.01, ..none });
     let askew = with(CameraFaults { rig_tag_moved: shift([0.1, 0.0, 0.0], [0.0, 0.0, 0.5]), ..none });
-    let bright = Look { exposure_dn: 3.0 * look.exposure_dn, ..look };
+    let bright = Appearance { exposure_dn: 3.0 * look.exposure_dn, ..look };
     for (name, found) in [
         ("moved camera", judged(&rig, shift([0.3, 0.0, 0.0], [0.0, 0.1, 0.0]), &look)),
         ("board of 6.06 mm", judged(&board, still, &look)),

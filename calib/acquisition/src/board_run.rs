@@ -1,9 +1,9 @@
 //! Pictures of the calibration board before a sweep: one pair an attitude, exposed after the board was held there.
 
 use crate::camera_pair::CameraPair;
-use crate::camera_watch::{Eye, PATIENCE, REFUSED_LIMIT};
+use crate::camera_watch::{CameraClock, PATIENCE, REFUSED_LIMIT};
 use crate::message::SweepEvent;
-use crate::recorder::{Recorder, Shows};
+use crate::recorder::{FramePurpose, Recorder};
 use crate::replay::{Message, read};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -60,7 +60,7 @@ impl BoardRun<'_> {
     /// # Errors
     /// When a camera is lost or refuses pair after pair, nobody holds the board, the disk does not accept the pictures, or the user interrupts.
     pub fn run(&mut self, views: u32, skip: &BTreeSet<u32>, ask: AskBoard) -> Result<(), DeviceError> {
-        let mut eyes = [(); 2].map(|()| Eye::new(self.clock_scale));
+        let mut eyes = [(); 2].map(|()| CameraClock::new(self.clock_scale));
         for view in (0..views).filter(|view| !skip.contains(view)) {
             // A bench that presents the board by itself needs no person.
             if !self.pair.show_board(Some(view as usize))? {
@@ -68,7 +68,7 @@ impl BoardRun<'_> {
             }
             let frames = self.exposed_after(self.clock.now_s() + STAND_S, &mut eyes)?;
             for (name, frame) in self.names.iter().zip(&frames) {
-                self.recorder.frame(name, frame, Shows::Board(view)).map_err(|e| disk(&e))?;
+                self.recorder.frame(name, frame, FramePurpose::Board(view)).map_err(|e| disk(&e))?;
             }
             let event = SweepEvent { kind: "board".to_owned(), step: view, ..SweepEvent::default() };
             self.recorder.event(self.pair.host_s(), &event).map_err(|e| disk(&e))?;
@@ -77,7 +77,11 @@ impl BoardRun<'_> {
     }
 
     /// The first pair whose exposure began after a host time.
-    fn exposed_after(&mut self, since_s: f64, eyes: &mut [Eye; 2]) -> Result<[CameraFrame; 2], DeviceError> {
+    fn exposed_after(
+        &mut self,
+        since_s: f64,
+        eyes: &mut [CameraClock; 2],
+    ) -> Result<[CameraFrame; 2], DeviceError> {
         let (mut refused, mut seen) = (0, 0);
         loop {
             self.interrupt.check("cameras", "picture the board")?;

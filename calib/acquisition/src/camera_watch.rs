@@ -6,7 +6,7 @@ use crate::error::AcquisitionError;
 use crate::message::SweepEvent;
 use crate::monitor::Monitor;
 use crate::pictures::PREVIEW_PERIOD_S;
-use crate::recorder::{Recorder, Shows};
+use crate::recorder::{FramePurpose, Recorder};
 use crate::sweep::INTERRUPTED;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -29,7 +29,7 @@ pub fn watch(
     clock_scale: f64,
 ) {
     let mut refused = 0;
-    let mut eyes = [(); 2].map(|()| Eye::new(clock_scale));
+    let mut eyes = [(); 2].map(|()| CameraClock::new(clock_scale));
     let mut shown_s = f64::NEG_INFINITY;
     while !done.load(Ordering::SeqCst) {
         let result = pair.grab(PATIENCE);
@@ -89,7 +89,7 @@ fn record(
     show: bool,
 ) -> Result<(), AcquisitionError> {
     for (name, frame) in names.iter().zip(&pair.frames) {
-        recorder.frame(name, frame, step.map_or(Shows::Nothing, Shows::Pose))?;
+        recorder.frame(name, frame, step.map_or(FramePurpose::Nothing, FramePurpose::Pose))?;
         if show {
             recorder.preview(name, frame)?;
         }
@@ -98,13 +98,13 @@ fn record(
 }
 
 /// What is known of one camera's time.
-pub(crate) struct Eye {
+pub(crate) struct CameraClock {
     clocks: ClockPair,
     /// Host time of the last frame's arrival, s.
     last_host_s: f64,
 }
 
-impl Eye {
+impl CameraClock {
     pub(crate) fn new(clock_scale: f64) -> Self {
         Self { clocks: ClockPair::new(clock_scale), last_host_s: f64::NEG_INFINITY }
     }

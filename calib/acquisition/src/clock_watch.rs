@@ -71,7 +71,7 @@ impl ClockFault {
 
 /// One reading's number and times, s.
 #[derive(Debug, Clone, Copy)]
-struct Seen {
+struct TimedReading {
     serial: u64,
     host_s: f64,
     device_s: f64,
@@ -81,9 +81,9 @@ struct Seen {
 #[derive(Debug, Clone, Copy)]
 struct Doubt {
     /// The last good reading.
-    before: Seen,
+    before: TimedReading,
     /// The first that is off.
-    at: Seen,
+    at: TimedReading,
     /// By how much, s.
     step_s: f64,
     /// Readings that are off so far.
@@ -96,9 +96,9 @@ struct Doubt {
 #[derive(Debug, Clone)]
 pub struct ClockWatch {
     clock_scale: f64,
-    last: Option<Seen>,
+    last: Option<TimedReading>,
     /// The last reading at which device time rose.
-    risen: Option<Seen>,
+    risen: Option<TimedReading>,
     /// Largest device less host time so far, s.
     earliest_s: f64,
     first_periods: Vec<f64>,
@@ -128,7 +128,7 @@ impl ClockWatch {
 
     /// Takes the next reading in order of arrival; what its clock has done, once each time.
     pub fn take(&mut self, serial: u64, host_s: f64, device_s: f64) -> Option<ClockFault> {
-        let now = Seen { serial, host_s, device_s };
+        let now = TimedReading { serial, host_s, device_s };
         let Some(last) = self.last.replace(now) else {
             self.begin_anew(now);
             return None;
@@ -161,19 +161,19 @@ impl ClockWatch {
     }
 
     /// After a step nothing known before holds but the rate.
-    fn begin_anew(&mut self, now: Seen) {
+    fn begin_anew(&mut self, now: TimedReading) {
         (self.risen, self.earliest_s, self.doubt) = (Some(now), now.device_s - now.host_s, None);
         (self.standing, self.stopped) = (false, false);
     }
 
     /// How far device time is off its course since a good reading, s.
-    fn off_s(&self, before: Seen, now: Seen) -> f64 {
+    fn off_s(&self, before: TimedReading, now: TimedReading) -> f64 {
         let scans = now.serial.saturating_sub(before.serial) as f64;
         now.device_s - before.device_s - scans * self.period_s.unwrap_or(0.0)
     }
 
     /// Learns the time of a scan, and notes where a reading is off.
-    fn compare(&mut self, last: Seen, now: Seen) -> Option<ClockFault> {
+    fn compare(&mut self, last: TimedReading, now: TimedReading) -> Option<ClockFault> {
         let scans = now.serial.saturating_sub(last.serial) as f64;
         let (off_s, rise_s) = (self.off_s(last, now), now.device_s - last.device_s);
         // A jump ahead is one only where scans were counted and their time is known.
@@ -198,7 +198,7 @@ impl ClockWatch {
     }
 
     /// A reading while one before it is in doubt.
-    fn settle(&mut self, doubt: Doubt, now: Seen) -> Option<ClockFault> {
+    fn settle(&mut self, doubt: Doubt, now: TimedReading) -> Option<ClockFault> {
         let half_s = doubt.step_s / 2.0;
         let back_on_course = self.off_s(doubt.before, now) * half_s.signum() < half_s.abs();
         let settled = now.host_s - doubt.at.host_s > SETTLED_S * self.clock_scale;
@@ -211,7 +211,7 @@ impl ClockWatch {
             .then_some(ClockFault::Step { step_s: doubt.step_s, serial: doubt.at.serial })
     }
 
-    fn stands_still(&mut self, now: Seen) -> Option<ClockFault> {
+    fn stands_still(&mut self, now: TimedReading) -> Option<ClockFault> {
         let risen = *self.risen.get_or_insert(now);
         // No number does not rise either.
         self.standing = !(now.device_s > risen.device_s);

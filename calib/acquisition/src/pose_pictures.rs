@@ -42,7 +42,7 @@ pub fn pose_pairs(
     if !list.exists() {
         return Ok(Vec::new());
     }
-    let mut stands: Vec<Stand> = Vec::new();
+    let mut stands: Vec<PoseDwell> = Vec::new();
     for (name, of_sealed) in [("points.csv", false), ("holdout.csv", true)] {
         if folder.join(name).exists() {
             stands.extend(read_stands(&folder.join(name), of_sealed)?);
@@ -83,7 +83,7 @@ pub fn pose_pairs(
 
 /// When the stage stood at a row's pose, session time, s.
 #[derive(Debug, Clone, Copy)]
-struct Stand {
+struct PoseDwell {
     sealed: bool,
     point: i64,
     /// Arrival; none where the table has none.
@@ -112,7 +112,7 @@ fn foreign(line: &Line, session: &str, path: &Path) -> Result<Option<String>, Ac
 }
 
 /// Why the stage cannot have stood at the row's pose when the picture was exposed.
-fn ill_timed(line: &Line, stand: &Stand, all: &[Stand]) -> Option<String> {
+fn ill_timed(line: &Line, stand: &PoseDwell, all: &[PoseDwell]) -> Option<String> {
     let (t_s, from_s) = (line.t_s?, stand.from_s?);
     let next_s = all.iter().filter_map(|s| s.from_s).filter(|s| *s > from_s).fold(f64::INFINITY, f64::min);
     if (from_s..next_s).contains(&t_s) {
@@ -184,7 +184,7 @@ impl Cells {
     }
 }
 
-fn read_stands(path: &Path, sealed: bool) -> Result<Vec<Stand>, AcquisitionError> {
+fn read_stands(path: &Path, sealed: bool) -> Result<Vec<PoseDwell>, AcquisitionError> {
     let table = Cells::read(path)?;
     let point = table.required("point")?;
     let [t_s, dwell_s, groove] = ["t_s", "dwell_s", "groove_x_mm"].map(|name| table.column(name));
@@ -192,7 +192,7 @@ fn read_stands(path: &Path, sealed: bool) -> Result<Vec<Stand>, AcquisitionError
         .map(|row| {
             let from_s = table.number(row, t_s)?.zip(table.number(row, dwell_s)?).map(|(t, dwell)| t - dwell);
             let loaded = table.number(row, groove)?.is_some();
-            Ok(Stand { sealed, point: table.point(row, point)?, from_s, loaded })
+            Ok(PoseDwell { sealed, point: table.point(row, point)?, from_s, loaded })
         })
         .collect()
 }

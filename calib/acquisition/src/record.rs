@@ -12,7 +12,7 @@ use crate::reduce::{Reduction, recordings, reduce};
 use crate::replay_interrogator::ReplayInterrogator;
 use crate::rig::Rig;
 use crate::run_file::{RUN_FORMAT, RunFile, RunOutcome};
-use crate::session_begin::{Begun, stage_lock};
+use crate::session_begin::{OwnedSessionFolder, stage_lock};
 use crate::sweep::{Ending, Progress, SweepBench, SweepReport, acquire, run};
 use crate::tables::temperature_ratio;
 use std::collections::BTreeMap;
@@ -153,7 +153,7 @@ pub fn record(
     progress: &mut dyn FnMut(&Progress),
 ) -> Result<RecordResult, AcquisitionError> {
     let (rig, plan, _) = plan_only((&request.places[0], &request.rig), (&request.places[1], &request.plan))?;
-    let (mut begun, skip) = Begun::open(request)?;
+    let (mut begun, skip) = OwnedSessionFolder::open(request)?;
     let _lock = stage_lock(&rig.stage, &request.folder)?;
     let clock = HostClock::start(rig.clock_scale);
     let mut stage = devices.stage(&rig.stage, clock)?;
@@ -271,7 +271,7 @@ fn describe(
     rig: &Rig,
     plan: &Plan,
     devices: BTreeMap<String, DeviceIdentity>,
-    begun: &mut Begun,
+    begun: &mut OwnedSessionFolder,
 ) -> Result<(BTreeMap<String, String>, bool), AcquisitionError> {
     let run = RunFile {
         format: RUN_FORMAT.to_owned(),

@@ -25,7 +25,7 @@ const SYNC: Duration = Duration::from_secs(2);
 
 /// What a frame is recorded for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Shows {
+pub enum FramePurpose {
     /// Its time alone.
     Nothing,
     /// The settled pose of a step.
@@ -218,11 +218,16 @@ impl Recorder {
     ///
     /// # Errors
     /// When the frame cannot be stored or the disk does not take it.
-    pub fn frame(&self, name: &str, frame: &CameraFrame, shows: Shows) -> Result<(), AcquisitionError> {
+    pub fn frame(
+        &self,
+        name: &str,
+        frame: &CameraFrame,
+        shows: FramePurpose,
+    ) -> Result<(), AcquisitionError> {
         let (step, board) = match shows {
-            Shows::Nothing => (None, None),
-            Shows::Pose(step) => (Some(step), None),
-            Shows::Board(view) => (None, Some(view)),
+            FramePurpose::Nothing => (None, None),
+            FramePurpose::Pose(step) => (Some(step), None),
+            FramePurpose::Board(view) => (None, Some(view)),
         };
         let info = FrameInfo {
             camera: name.to_owned(),
@@ -234,7 +239,7 @@ impl Recorder {
             board,
         };
         log_raw(&self.frames, &info, frame.clocks.host_s);
-        if shows != Shows::Nothing {
+        if shows != FramePurpose::Nothing {
             self.picture(&format!("{}{name}", topic::POSE_PICTURE), name, frame, "png", lossless(frame)?);
         }
         self.keep_pace()

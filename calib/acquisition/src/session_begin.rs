@@ -15,7 +15,7 @@ const LOCK: &str = ".wcal-session.tmp";
 
 /// A session's folder, this process's own. What was made in it goes again unless the sweep keeps it: a device that could not be opened
 /// leaves nothing that would block the next attempt.
-pub(crate) struct Begun {
+pub(crate) struct OwnedSessionFolder {
     folder: PathBuf,
     /// Files and folders made, in order.
     made: Vec<PathBuf>,
@@ -23,7 +23,7 @@ pub(crate) struct Begun {
     lock: Option<FileLock>,
 }
 
-impl Begun {
+impl OwnedSessionFolder {
     /// A new folder with copies of rig and plan, or an old one that has the same; steps done already.
     ///
     /// # Errors
@@ -95,7 +95,7 @@ impl Begun {
     }
 }
 
-impl Drop for Begun {
+impl Drop for OwnedSessionFolder {
     fn drop(&mut self) {
         self.lock = None;
         if self.kept {

@@ -7,9 +7,9 @@ use wcal_core::{CalibrationNoise, FbgSpec, WhiskerRow, WhiskerSpec};
 use wcal_session::SessionWarning;
 use wcal_trace::scalar::ScalarSystem;
 use wcal_trace::verify::SessionModel;
-use wcal_trace::verify::judgement::Judged;
+use wcal_trace::verify::judgement::JudgedReading;
 use wcal_trace::verify::session_model::Quantity;
-use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, Sensed};
+use wcal_trace::whisker::groove_motion::{AcceptedWire, CalibratedReading, GrooveMotion};
 use wcal_trace::whisker::{WhiskerSystem, judgement};
 
 /// A calibration of any kind: from readings to the quantity that they stand for.
@@ -37,7 +37,7 @@ pub trait Calibration {
         &self,
         session: SessionSystem<'_>,
         only_sealed: bool,
-    ) -> Result<Option<Vec<Judged>>, CalibrationError>;
+    ) -> Result<Option<Vec<JudgedReading>>, CalibrationError>;
     /// As one of a whisker, which streams can use; none for other kinds.
     fn whisker(&self) -> Option<&dyn WhiskerCalibration>;
 }
@@ -166,11 +166,11 @@ pub struct SensedRow {
     /// Whether the strain-isolated grating was read.
     pub reference: bool,
     /// Moments.
-    pub sensed: Sensed,
+    pub sensed: CalibratedReading,
 }
 
 impl SensedRow {
-    pub(crate) fn new(row: &WhiskerRow, sensed: Sensed) -> Self {
+    pub(crate) fn new(row: &WhiskerRow, sensed: CalibratedReading) -> Self {
         let reference = row.reference_shift_pm.is_some();
         Self { point: row.point, line: row.line, t_s: row.t_s, reference, sensed }
     }

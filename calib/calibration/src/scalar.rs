@@ -6,7 +6,7 @@ use std::path::Path;
 use wcal_core::observation::Role;
 use wcal_session::{TextTable, TextTableLayout, read_text_table};
 use wcal_trace::scalar::{ScalarModel, ScalarRow, judgement};
-use wcal_trace::verify::judgement::Judged;
+use wcal_trace::verify::judgement::JudgedReading;
 
 /// A column of numbers; none where the table has no such column.
 fn column(table: &TextTable, name: &str, required: bool) -> Result<Option<Vec<f64>>, CalibrationError> {
@@ -123,7 +123,7 @@ impl Calibration for ScalarModel {
             format!(
                 "{outside} of {} readings lie outside the fitted {}, {low} to {high} {}",
                 rows.len(),
-                self.declared.worded("stimuli"),
+                self.declared.format_text("stimuli"),
                 self.stimulus_unit
             )
         });
@@ -134,7 +134,7 @@ impl Calibration for ScalarModel {
         &self,
         session: SessionSystem<'_>,
         only_sealed: bool,
-    ) -> Result<Option<Vec<Judged>>, CalibrationError> {
+    ) -> Result<Option<Vec<JudgedReading>>, CalibrationError> {
         match session {
             SessionSystem::Scalar(system) if session.kind() == self.session_kind => {
                 Ok(Some(judgement::of_model(system, self, only_sealed)?))

@@ -13,13 +13,13 @@ pub(super) fn print(scores: &[MethodScores], document: &Value) {
     print_methods(scores, document);
     let streaming = &document["streaming"];
     println!("streaming: {} samples/s, p99 {} us", streaming["samples_per_s"], streaming["p99_us"]);
-    print_told(document);
+    print_two_contact_scores(document);
     print_tables(document);
     print_test_objects(document);
 }
 
 /// Two contacts, and what a random split hides.
-fn print_told(document: &Value) {
+fn print_two_contact_scores(document: &Value) {
     let two = &document["two_contacts"];
     if let (Some(f1), Some(share)) = (two["detection"]["f1"].as_f64(), two["explained_by_one"].as_f64()) {
         println!(

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::sync::Arc;
 use wcal_mujoco::MujocoSweeps;
 use wcal_mujoco::mjcf::MjcfOptions;
-use wcal_sim::{Dataset, Missing, RodSweeps, SweepEngine, SweepPlan, Total};
+use wcal_sim::{Dataset, MissingShard, RodSweeps, SweepEngine, SweepPlan, Total};
 
 /// Shards made again that are named one by one.
 const MAX_REPEATS_SHOWN: usize = 5;
@@ -80,7 +80,7 @@ impl Order {
         &self,
         args: &SimulateArgs,
         totals: &BTreeMap<String, Total>,
-        missing: Vec<Missing>,
+        missing: Vec<MissingShard>,
     ) -> anyhow::Result<DatasetDocument> {
         let mut notes = Vec::new();
         for (name, total) in totals {
@@ -97,8 +97,10 @@ impl Order {
             eprintln!("simulate: warning: {note}");
         }
         notes.splice(..0, self.notes.iter().cloned());
-        let missing: Vec<String> =
-            missing.iter().map(|Missing { name, why, .. }| format!("{name} is missing: {why}")).collect();
+        let missing: Vec<String> = missing
+            .iter()
+            .map(|MissingShard { name, why, .. }| format!("{name} is missing: {why}"))
+            .collect();
         for line in &missing {
             eprintln!("simulate: {line}");
         }

@@ -73,7 +73,7 @@ struct Scripts {
 }
 
 /// What became of the request.
-pub enum Handed {
+pub enum RequestOutcome {
     /// Printed only.
     Printed,
     /// To Slurm.
@@ -86,7 +86,7 @@ pub enum Handed {
 ///
 /// # Errors
 /// Where an earlier submission still runs, or Slurm refuses.
-pub fn submit(args: &SlurmArgs, out: &Path, dataset: &Dataset) -> anyhow::Result<Handed> {
+pub fn submit(args: &SlurmArgs, out: &Path, dataset: &Dataset) -> anyhow::Result<RequestOutcome> {
     ensure!(args.slurm_tasks > 0, "--slurm-tasks: expected 1 or more, found 0");
     ensure!(args.slurm_cpus > 0, "--slurm-cpus: expected 1 or more, found 0");
     let here = std::env::current_dir().context("finding the current folder")?;
@@ -97,7 +97,7 @@ pub fn submit(args: &SlurmArgs, out: &Path, dataset: &Dataset) -> anyhow::Result
     let unfinished: BTreeSet<usize> = whole.missing.iter().map(|m| m.number % tasks + 1).collect();
     let unfinished: Vec<usize> = unfinished.into_iter().collect();
     if unfinished.is_empty() && !args.dry_run {
-        return Ok(Handed::Complete);
+        return Ok(RequestOutcome::Complete);
     }
     let array = ranges(&unfinished);
     let setup = match &args.slurm_setup {
@@ -110,7 +110,7 @@ pub fn submit(args: &SlurmArgs, out: &Path, dataset: &Dataset) -> anyhow::Result
     let scripts = job.scripts(&array, tasks)?;
     if args.dry_run {
         println!("# slurm/array.sh\n{}\n# slurm/check.sh\n{}", scripts.array, scripts.check);
-        return Ok(Handed::Printed);
+        return Ok(RequestOutcome::Printed);
     }
     refuse_a_second(&folder)?;
     write(&folder, "array.sh", scripts.array.as_bytes())?;
@@ -127,7 +127,7 @@ pub fn submit(args: &SlurmArgs, out: &Path, dataset: &Dataset) -> anyhow::Result
         shards: whole.shards,
     };
     write(&folder, "submission.json", serde_json::to_string_pretty(&submission)?.as_bytes())?;
-    Ok(Handed::Submitted(submission))
+    Ok(RequestOutcome::Submitted(submission))
 }
 
 impl Submission {

@@ -12,7 +12,7 @@ const BATCH: usize = 50;
 
 /// What arrives.
 #[derive(Debug)]
-pub enum Item {
+pub enum FeedItem {
     /// Scans, and how many were dropped before the first.
     Scans(Vec<FbgReading>, u64),
     /// A position of the stage.
@@ -22,20 +22,20 @@ pub enum Item {
 }
 
 /// The end that takes what the devices give. Recording and queue see everything in the same order, so that a replay does too.
-pub struct Intake {
+pub struct FeedInput {
     recorder: Option<Arc<Recorder>>,
     line: Mutex<Line>,
 }
 
 struct Line {
-    sender: SyncSender<Item>,
+    sender: SyncSender<FeedItem>,
     /// Dropped since the last scan that found room, and in all.
     dropped: [u64; 2],
 }
 
-impl Intake {
+impl FeedInput {
     /// An intake and the end of its queue; `scans` may wait.
-    pub fn new(scans: usize, recorder: Option<Arc<Recorder>>) -> (Self, Receiver<Item>) {
+    pub fn new(scans: usize, recorder: Option<Arc<Recorder>>) -> (Self, Receiver<FeedItem>) {
         let (sender, receiver) = sync_channel(scans.div_ceil(BATCH).max(1));
         (Self { recorder, line: Mutex::new(Line { sender, dropped: [0; 2] }) }, receiver)
     }
@@ -50,7 +50,7 @@ impl Intake {
             readings.iter().try_for_each(|r| recorder.scan(r))?;
         }
         for batch in readings.chunks(BATCH) {
-            match line.sender.try_send(Item::Scans(batch.to_vec(), line.dropped[0])) {
+            match line.sender.try_send(FeedItem::Scans(batch.to_vec(), line.dropped[0])) {
                 Ok(()) => line.dropped[0] = 0,
                 Err(TrySendError::Full(_)) => line.dropped = line.dropped.map(|n| n + batch.len() as u64),
                 Err(TrySendError::Disconnected(_)) => return Ok(false),
@@ -72,7 +72,7 @@ impl Intake {
         if let Some(recorder) = &self.recorder {
             recorder.stage(reading)?;
         }
-        let _ = line.sender.try_send(Item::Stage(position));
+        let _ = line.sender.try_send(FeedItem::Stage(position));
         Ok(())
     }
 
@@ -80,7 +80,7 @@ impl Intake {
     pub fn fail(&self, error: DeviceError) {
         let sender = self.line.lock().unwrap_or_else(PoisonError::into_inner).sender.clone();
         // Nobody listens any more: then nobody needs to know.
-        let _ = sender.send(Item::Failed(error));
+        let _ = sender.send(FeedItem::Failed(error));
     }
 
     /// Scans dropped so far.
@@ -99,12 +99,12 @@ mod tests {
 
     #[test]
     fn a_full_queue_drops_counts_and_says_where() {
-        let (intake, receiver) = Intake::new(100, None);
+        let (intake, receiver) = FeedInput::new(100, None);
         // Room for two batches: the third and fourth are dropped.
         assert!(intake.scans(scans(0, 200)).unwrap());
         assert_eq!(intake.dropped(), 100);
         let next = || match receiver.try_recv() {
-            Ok(Item::Scans(scans, dropped)) => Some((scans[0].serial, scans.len(), dropped)),
+            Ok(FeedItem::Scans(scans, dropped)) => Some((scans[0].serial, scans.len(), dropped)),
             _ => None,
         };
         assert_eq!((next(), next(), next()), (Some((0, 50, 0)), Some((50, 50, 0)), None));
@@ -113,7 +113,7 @@ mod tests {
         intake.scans(scans(250, 50)).unwrap();
         assert_eq!(next(), Some((250, 50, 0)));
         // Control: with room nothing is dropped.
-        let (roomy, _receiver) = Intake::new(10_000, None);
+        let (roomy, _receiver) = FeedInput::new(10_000, None);
         roomy.scans(scans(0, 200)).unwrap();
         assert_eq!(roomy.dropped(), 0);
     }

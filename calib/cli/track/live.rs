@@ -1,6 +1,6 @@
 //! Tracks of a stream: live from the interrogator, or replayed from recordings.
 
-use super::feed::{Intake, Item};
+use super::feed::{FeedInput, FeedItem};
 use super::recorded_motion::{recorded_motion, session_folder};
 use super::surface::write_surface;
 use super::{TrackArgs, accuracy, output, refuse_surface};
@@ -170,7 +170,7 @@ pub fn replay(
                         let stage = format!("{at_s:.0} s of the stream tracked");
                         match args.seconds {
                             Some(all_s) => progress.at(&stage, at_s / all_s),
-                            None => progress.says(&stage),
+                            None => progress.format_prefix(&stage),
                         }
                     }
                 }
@@ -217,7 +217,7 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
     let sinks = Sinks::open(args, place, &whiskers, loaded)?;
     let mut files = output::create(&args.out, true)?;
     let done = AtomicBool::new(false);
-    let (intake, receiver) = Intake::new(args.queue, sinks.recorder.clone());
+    let (intake, receiver) = FeedInput::new(args.queue, sinks.recorder.clone());
     let carried = rig.base.as_ref().is_some_and(|b| b.carried_along.is_some());
     let failed = std::thread::scope(|scope| {
         scope.spawn(|| acquire(interrogator.as_mut(), &intake, &done));
@@ -253,7 +253,7 @@ fn unrecorded(why: &impl std::fmt::Display) -> DeviceError {
 }
 
 /// Reads the interrogator into the intake.
-fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Intake, done: &AtomicBool) {
+fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &FeedInput, done: &AtomicBool) {
     let mut on_pass = Instant::now();
     if let Err(e) = interrogator.start() {
         return intake.fail(e);
@@ -291,7 +291,7 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Inta
 }
 
 /// Asks the stage that carries the base where it is; it is never moved from here.
-fn watch_stage(rig: &Rig, clock: HostClock, intake: &Intake, interrupt: &Interrupt, done: &AtomicBool) {
+fn watch_stage(rig: &Rig, clock: HostClock, intake: &FeedInput, interrupt: &Interrupt, done: &AtomicBool) {
     // Two programs on one serial line take each other's replies.
     let serial = !rig.stage.port.starts_with("tcp://");
     let lock = serial.then(|| FileLock::of_port(&rig.stage.port, "track")).transpose();
@@ -327,7 +327,7 @@ fn over(args: &TrackArgs, whiskers: &StreamTracks<'_>, reading: &FbgReading) -> 
 /// Tracks what the queue gives.
 fn consume(
     args: &TrackArgs,
-    receiver: &Receiver<Item>,
+    receiver: &Receiver<FeedItem>,
     whiskers: &mut StreamTracks<'_>,
     files: &mut TrackFiles,
     channels: Option<&TrackChannels>,
@@ -336,7 +336,7 @@ fn consume(
     let mut flushed = Instant::now();
     while !ends() {
         match receiver.recv_timeout(Duration::from_millis(100)) {
-            Ok(Item::Scans(readings, mut dropped)) => {
+            Ok(FeedItem::Scans(readings, mut dropped)) => {
                 for reading in &readings {
                     if let Some(fault @ ClockFault::Stopped { .. }) = whiskers.hear(reading) {
                         return Err(fault.error().into());
@@ -347,8 +347,8 @@ fn consume(
                     whiskers.scan(reading, std::mem::take(&mut dropped) > 0, files, channels)?;
                 }
             }
-            Ok(Item::Stage(position)) => whiskers.stage(&position),
-            Ok(Item::Failed(error)) => return Err(error.into()),
+            Ok(FeedItem::Stage(position)) => whiskers.stage(&position),
+            Ok(FeedItem::Failed(error)) => return Err(error.into()),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return Ok(()),
         }

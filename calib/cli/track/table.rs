@@ -10,11 +10,11 @@ use std::process::ExitCode;
 use wcal_contact::estimator::Estimator;
 use wcal_contact::known_groove::KnownGroove;
 use wcal_contact::known_motion_table::KnownMotionTable;
-use wcal_contact::moments_alone::MomentsAlone;
 use wcal_contact::motion_table::{LoggedMotion, has_motion, read};
 use wcal_contact::object_judgement::ObjectJudgement;
 use wcal_contact::reading::Reading;
 use wcal_contact::session_groove::{moment_field, session_readings, without_groove};
+use wcal_contact::static_arc::StaticArc;
 use wcal_contact::sweep_filter::SweepFilter;
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::TableSource;
@@ -23,7 +23,7 @@ use wcal_contact::track_document::{
 };
 use wcal_contact::trust::WhiskerModel;
 use wcal_contact::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
-use wcal_contact::zero::{Beginning, beginning};
+use wcal_contact::zero::{FreeStart, beginning};
 use wcal_core::observation::MomentAxes;
 use wcal_core::verify_document::GrooveTracking;
 use wcal_core::{SessionData, WhiskerData, WhiskerRow, WireFrame};
@@ -141,7 +141,7 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
     if args.motion.is_none() && !has_motion(path)? {
         let mut readings = source.alone();
         let tare_s = zero_span_s(args, path, &mut readings, (has_misfit, zero_known))?;
-        return Ok(prepared(readings, Box::new(MomentsAlone::new(&whisker)), (false, tare_s), None));
+        return Ok(prepared(readings, Box::new(StaticArc::new(&whisker)), (false, tare_s), None));
     }
     let file = args.motion.as_deref().unwrap_or(path);
     let logged = read(file, args.motion_offset_s)?;
@@ -183,7 +183,7 @@ fn zero_span_s(
         return Ok(span_s);
     }
     Ok(match beginning(readings, zero_known) {
-        Beginning::Free { span_s, readings: free, noise_nmm2 } => {
+        FreeStart::Free { span_s, readings: free, noise_nmm2 } => {
             // Where what the law leaves may be misfit, the free readings say what is noise.
             let all = readings.iter_mut().filter_map(|r| r.moments.as_mut()).filter(|_| has_misfit);
             all.for_each(|m| {
@@ -192,15 +192,15 @@ fn zero_span_s(
             eprintln!("{}: zero: the mean of the {free} free readings at its beginning", path.display());
             span_s
         }
-        Beginning::Loaded(nmm) => {
+        FreeStart::Loaded(nmm) => {
             eprintln!(
                 "warning: {}: it begins at {nmm:.3} N mm, which no free wire has by this calibration: in contact, or another zero (--tare-s)",
                 path.display()
             );
             0.0
         }
-        Beginning::Unknown if !zero_known => bail!("{}: {NO_ZERO}", path.display()),
-        Beginning::Unknown => 0.0,
+        FreeStart::Unknown if !zero_known => bail!("{}: {NO_ZERO}", path.display()),
+        FreeStart::Unknown => 0.0,
     })
 }
 

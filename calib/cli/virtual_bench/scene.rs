@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use wcal_drivers::bench::scenario::{CameraScenario, WhiskerScenario};
 use wcal_drivers::bench::scene::{Scene, SceneState};
 use wcal_plant::cameras::{
-    Board, CameraFaults, Groove, Lens, Look, RigGeometry, View, clean, default_pair, exposed,
+    Appearance, Board, CameraFaults, Groove, Lens, RigGeometry, View, clean, default_pair, exposed,
 };
 use wcal_plant::rod::Wire;
 use wcal_plant::table::{Path, equilibrium};
@@ -26,7 +26,7 @@ pub struct BenchScene {
     wire: Wire,
     paths: Vec<ScenePath>,
     rig: RigGeometry,
-    look: Look,
+    look: Appearance,
     /// Width of the sensors, px.
     width_px: u32,
     /// Cameras of each size that was asked for.
@@ -61,11 +61,11 @@ impl BenchScene {
         };
         let board = Board { corners: cameras.board_corners, square_mm: cameras.board_square_mm };
         let rig = RigGeometry { diameter_mm: whisker.diameter_mm, board, faults, ..RigGeometry::default() };
-        let look = Look {
+        let look = Appearance {
             uneven: cameras.uneven_light,
             blur_px: cameras.blur_px,
             read_noise_dn: cameras.noise_dn,
-            ..Look::default()
+            ..Appearance::default()
         };
         let width_px = cameras.size_px[0];
         Self { wire, paths, rig, look, width_px, cameras: Mutex::default(), last: Default::default() }
@@ -118,7 +118,7 @@ impl Scene for BenchScene {
     fn picture(&self, camera: usize, state: &SceneState, size_px: [u32; 2], seed: u64) -> Vec<u8> {
         let mut last = self.last[camera.min(1)].lock().unwrap_or_else(PoisonError::into_inner);
         let lens = self.lens(camera, state, size_px);
-        let look = Look {
+        let look = Appearance {
             exposure_dn: self.look.exposure_dn * state.exposure,
             // The lens blurs fewer of the blocks that are read as one pixel.
             blur_px: self.look.blur_px * f64::from(size_px[0]) / f64::from(self.width_px),

@@ -48,13 +48,13 @@ fn press(field: &MomentField, seed: u64, shared: usize) -> Vec<MotionRow> {
             noise_nmm2: Matrix2::identity() * NOISE_NMM * NOISE_NMM,
             shared_nmm: (0..shared).map(|j| [1e-3 * m[j % 2], 1e-3 * (j % 3) as f64]).collect(),
             free_nmm2: None,
-            shared_way_mm: Vec::new(),
+            shared_displacement_mm: Vec::new(),
             moved_mm: push * way,
             turn: Rotation3::identity(),
             velocity_mm_s: push * speed,
             moved_sd_mm: 0.02,
             free: false,
-            visit: 0,
+            contact_segment: 0,
         }
     };
     ways.enumerate().map(row).collect()

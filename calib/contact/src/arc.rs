@@ -29,7 +29,7 @@ fn lengths(nodes: &[Node]) -> Vec<f64> {
 
 /// The answer to moments (N mm) of which nothing else is known; probabilities and number of contacts are those of `answer`.
 #[must_use]
-pub fn moments_alone(
+pub fn static_arc(
     inverse: &StaticInverse,
     moment_nmm: [f64; 2],
     sd_nmm: [f64; 2],
@@ -94,7 +94,7 @@ pub(crate) fn stated_answer(
 const AS_TRAINED: f32 = 0.5;
 
 /// What is stated of a network's answer (point p, covariance C_n, weights u_k) where the motion is not known: with probability a it is as in
-/// training, else nothing but the moments counts (mean q, C_a, v_k; [`moments_alone`]). The point stays p; `w_k = a u_k + (1 - a) v_k`, and
+/// training, else nothing but the moments counts (mean q, C_a, v_k; [`static_arc`]). The point stays p; `w_k = a u_k + (1 - a) v_k`, and
 /// `C = a C_n + (1 - a) (C_a + (q - p)(q - p)')`, the mixture's second moment about p.
 #[must_use]
 pub fn any_motion(
@@ -103,7 +103,7 @@ pub fn any_motion(
     sd_nmm: [f64; 2],
     network: Prediction,
 ) -> Prediction {
-    let alone = moments_alone(inverse, moment_nmm, sd_nmm, &network);
+    let alone = static_arc(inverse, moment_nmm, sd_nmm, &network);
     let mixed = |trained: f32, other: f32| AS_TRAINED * trained + (1.0 - AS_TRAINED) * other;
     let off = [0, 1, 2].map(|i| alone.point_mm[i] - network.point_mm[i]);
     let (n, a) = (network.covariance_mm2, alone.covariance_mm2);
@@ -194,7 +194,7 @@ mod tests {
         };
         let (mut held, mut all) = (0.0, 0.0);
         for moment in [[0.3, 0.1], [-0.5, 0.2], [0.05, -0.2]] {
-            let answer = moments_alone(&inverse, moment, [1e-3; 2], &unknown);
+            let answer = static_arc(&inverse, moment, [1e-3; 2], &unknown);
             let covariance = Matrix3::from_fn(|i, j| f64::from(answer.covariance_mm2[i][j]));
             let mean = Vector3::from(answer.point_mm.map(f64::from));
             let factor = covariance.cholesky().unwrap();

@@ -1,7 +1,7 @@
 //! From readings to contacts: what every way to locate a contact has in common.
 
 use crate::ContactError;
-use crate::known_motion::{Place, Region};
+use crate::known_motion::{EpisodeContact, Region};
 use crate::reading::Reading;
 use crate::track_document::EstimatorDocument;
 use nalgebra::{Matrix3, Rotation3, Vector3};
@@ -37,7 +37,7 @@ impl From<&Prediction> for ContactEstimate {
 impl ContactEstimate {
     /// At a place of the wire's axis; none where nothing was found.
     #[must_use]
-    pub fn of_place(place: &Place) -> Option<Self> {
+    pub fn of_place(place: &EpisodeContact) -> Option<Self> {
         let (probability, covariance_mm2) = (place.contact, place.covariance_mm2);
         Some(Self { probability, place_mm: place.place_mm?, covariance_mm2, normal: Vector3::zeros() })
     }
@@ -100,7 +100,7 @@ pub struct Findings {
     /// Contact in a motion of which the estimator knows nothing, or that does not belong to the moments.
     pub doubt: bool,
     /// Stated regions do not hold a groove that the estimator was compared with.
-    pub misstated: bool,
+    pub coverage_rejected: bool,
     /// First and last reading of each contact, s, where each reading knows what came before it alone.
     pub spans_s: Option<Vec<[f64; 2]>>,
 }

@@ -149,9 +149,9 @@ impl KnownGroove {
 
     /// Whether fewer places lie in the stated 90 % regions than chance explains.
     #[must_use]
-    pub fn misstated(&self) -> bool {
+    pub fn coverage_rejected(&self) -> bool {
         let within = self.compared.iter().filter(|c| c.in_region90()).count();
-        !self.compared.is_empty() && at_most(within, self.compared.len(), STATED) < LEVEL
+        !self.compared.is_empty() && binomial_cdf(within, self.compared.len(), STATED) < LEVEL
     }
 
     /// The same for people.
@@ -173,7 +173,7 @@ impl KnownGroove {
 
 /// Chance of `hits` or fewer of `n` with probability `p` each (binomial).
 #[must_use]
-pub fn at_most(hits: usize, n: usize, p: f64) -> f64 {
+pub fn binomial_cdf(hits: usize, n: usize, p: f64) -> f64 {
     let (mut ln_term, mut sum) = (n as f64 * (1.0 - p).ln(), 0.0);
     for k in 0..=hits {
         sum += ln_term.exp();
@@ -220,11 +220,11 @@ mod tests {
             let places = (0..n).map(|k| place(k, k as f64, 20.0, true)).collect();
             let mut groove = KnownGroove::new(places, &WhiskerSpec::nominal()).unwrap();
             (0..n).for_each(|k| groove.push(k as f64, &answer(20.0 + off_mm, 1.0)));
-            groove.misstated()
+            groove.coverage_rejected()
         };
         assert!(run(22.0, 9) && !run(0.5, 9), "22 mm off with 1 mm stated");
         assert!(!run(22.0, 1), "one reading of ten may lie outside");
-        assert!((at_most(1, 2, 0.9) - 0.19).abs() < 1e-12);
+        assert!((binomial_cdf(1, 2, 0.9) - 0.19).abs() < 1e-12);
     }
 
     #[test]

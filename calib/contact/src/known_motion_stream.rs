@@ -9,8 +9,8 @@ use crate::known_motion::contact_stream::FinishedEpisode;
 use crate::known_motion::{
     ContactStream, Disagreement, MomentField, MotionRow, PoseNoise, RecursiveSettings, Settings,
 };
-use crate::moments_alone::MomentsAlone;
 use crate::reading::{Moments, Reading, RowMotion};
+use crate::static_arc::StaticArc;
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
 use nalgebra::Matrix2;
 use std::sync::Arc;
@@ -40,7 +40,7 @@ pub struct KnownMotionStream {
     /// From the first moments on: they say what their noise is.
     stream: Option<ContactStream>,
     /// For loaded rows whose motion is not known.
-    alone: MomentsAlone,
+    alone: StaticArc,
     rows: u64,
     disagreeing: u64,
     /// The last row with moments and motion, s.
@@ -56,7 +56,7 @@ impl KnownMotionStream {
             field,
             accuracy,
             stream: None,
-            alone: MomentsAlone::new(whisker),
+            alone: StaticArc::new(whisker),
             rows: 0,
             disagreeing: 0,
             last_s: None,
@@ -84,13 +84,13 @@ impl KnownMotionStream {
             noise_nmm2: m.own_nmm2.unwrap_or(pose_nmm2 * WHITE * WHITE),
             shared_nmm,
             free_nmm2: None,
-            shared_way_mm: Vec::new(),
+            shared_displacement_mm: Vec::new(),
             moved_mm: motion.moved_mm,
             turn: motion.turn,
             velocity_mm_s: motion.velocity_mm_s,
             moved_sd_mm: self.accuracy.moved_sd_mm,
             free: row.in_prefix,
-            visit: 0,
+            contact_segment: 0,
         };
         let found = stream.push(&reading, motion.piece, motion.push)?;
         let flags = if found.disagrees { Flags::MOTION_DISAGREES } else { Flags::default() };
@@ -139,7 +139,7 @@ impl Estimator for KnownMotionStream {
         let contact = match (&row.moments, &row.motion) {
             (None, _) => Contact::default(),
             (Some(_), Err(_)) if row.in_prefix => Contact::default(),
-            (Some(m), Err(why)) => self.alone.locate(m, *why)?,
+            (Some(m), Err(why)) => self.alone.estimate_contact(m, *why)?,
             (Some(m), Ok(motion)) => self.along(row, m, motion)?,
         };
         Ok(vec![contact])

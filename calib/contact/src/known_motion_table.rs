@@ -1,9 +1,9 @@
-//! Contacts of a table along a known motion: its episodes one by one, each from all of its readings ([`locate`]); no network.
+//! Contacts of a table along a known motion: its episodes one by one, each from all of its readings ([`estimate_contact`]); no network.
 
 use crate::ContactError;
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
 use crate::known_motion::{
-    Episode, Located, MomentField, MotionRow, Posterior, Region, Settings, episodes, locate,
+    Episode, EpisodeEstimate, MomentField, MotionRow, Posterior, Region, Settings, episodes, estimate_contact,
 };
 use crate::known_motion_stream::MotionAccuracy;
 use crate::reading::Reading;
@@ -25,7 +25,7 @@ struct TableContact {
     /// Its readings among those whose motion is known: first, and one past the last.
     range: [usize; 2],
     span_s: [f64; 2],
-    found: Located,
+    found: EpisodeEstimate,
     /// The contact as one that slides, where no fixed point explains the moments.
     sliding: Option<SlidingContact>,
 }
@@ -106,18 +106,18 @@ impl KnownMotionTable {
     }
 
     /// Contacts of the readings so far.
-    fn locate(&mut self) -> Result<(), ContactError> {
+    fn estimate_contact(&mut self) -> Result<(), ContactError> {
         self.split_noise();
         let ranges = episodes(&self.field, &mut self.rows, &self.pieces);
         let settings = Settings { clock_sd_s: self.accuracy.clock_sd_s, ..Settings::default() };
         let one = |[from, to]: &[usize; 2]| {
             let episode = Episode { rows: self.rows[*from..*to].to_vec(), push: None };
-            locate(&self.field, &episode, &settings)
+            estimate_contact(&self.field, &episode, &settings)
         };
-        let found = ranges.par_iter().map(one).collect::<Result<Vec<Located>, ContactError>>()?;
-        let with_range: Vec<([usize; 2], &Located)> = ranges.iter().copied().zip(&found).collect();
+        let found = ranges.par_iter().map(one).collect::<Result<Vec<EpisodeEstimate>, ContactError>>()?;
+        let with_range: Vec<([usize; 2], &EpisodeEstimate)> = ranges.iter().copied().zip(&found).collect();
         let sliding = sliding_contacts(&self.whisker, &self.rows, &with_range)?;
-        let contact = |((range, found), sliding): (([usize; 2], Located), Option<SlidingContact>)| {
+        let contact = |((range, found), sliding): (([usize; 2], EpisodeEstimate), Option<SlidingContact>)| {
             let span_s = [self.rows[range[0]].t_s, self.rows[range[1] - 1].t_s];
             TableContact { range, span_s, found, sliding }
         };
@@ -215,14 +215,14 @@ impl Estimator for KnownMotionTable {
             moment_nmm: m.moment_nmm,
             noise_nmm2: m.own_nmm2.unwrap_or(m.pose_nmm2),
             free_nmm2: m.own_nmm2.map(|own| own + m.zero_nmm2),
-            shared_way_mm: Vec::new(),
+            shared_displacement_mm: Vec::new(),
             shared_nmm,
             moved_mm: motion.moved_mm,
             turn: motion.turn,
             velocity_mm_s: motion.velocity_mm_s,
             moved_sd_mm: self.accuracy.moved_sd_mm,
             free: false,
-            visit: 0,
+            contact_segment: 0,
         });
         self.pieces.push(motion.piece);
         self.index.push(number);
@@ -230,7 +230,7 @@ impl Estimator for KnownMotionTable {
     }
 
     fn finish(&mut self) -> Result<Vec<Contact>, ContactError> {
-        self.locate()?;
+        self.estimate_contact()?;
         let mut all = vec![Contact::default(); self.readings];
         for (n, contact) in self.contacts.iter().enumerate() {
             for (k, stated) in self.stated(n, contact) {

@@ -5,9 +5,9 @@
 //! |---|---|---|---|
 //! | known or vouched for, and one of training | `ok` | network's | network's |
 //! | not known, no evidence against training | `motion-assumed` | network's | of the mixture of both others (`arc::any_motion`) |
-//! | known or noticed to be another | `untrained-motion` | mean over the arc | what the moments alone allow (`arc::moments_alone`) |
+//! | known or noticed to be another | `untrained-motion` | mean over the arc | what the moments alone allow (`arc::static_arc`) |
 
-use crate::arc::{any_motion, arclength_regions, moments_alone};
+use crate::arc::{any_motion, arclength_regions, static_arc};
 use crate::estimator::Message;
 use crate::known_motion::Region;
 use crate::track_document::UntrainedRows;
@@ -77,7 +77,7 @@ impl MotionJudge {
         let nodes = &inverse.nodes;
         if let Some(motion) = untrained {
             *self.untrained.entry(motion.name()).or_default() += 1;
-            let answer = moments_alone(inverse, moment_nmm, sd_nmm, &answer);
+            let answer = static_arc(inverse, moment_nmm, sd_nmm, &answer);
             let regions = arclength_regions(nodes, &answer.weights);
             return JudgedRow { flags: Flags::UNTRAINED_MOTION, answer, regions };
         }

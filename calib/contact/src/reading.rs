@@ -9,7 +9,7 @@
 //! draw for readings of one pose; R: the reading's own noise, where it is known. B - R is the law's misfit: no noise of a reading, but an error
 //! that readings of like moments share.
 
-use crate::known_motion::Lost;
+use crate::known_motion::MotionUnknown;
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_track::stream::BasePose;
@@ -70,7 +70,7 @@ pub struct Reading {
     /// Moments; none where the reading cannot be used.
     pub moments: Option<Moments>,
     /// Motion, or why it is not known.
-    pub motion: Result<RowMotion, Lost>,
+    pub motion: Result<RowMotion, MotionUnknown>,
     /// Pose of the base.
     pub base: Option<BasePose>,
     /// Speed of the base along its +z, mm/s.

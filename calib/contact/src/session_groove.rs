@@ -5,12 +5,12 @@ mod tests;
 
 use crate::ContactError;
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
-use crate::known_groove::at_most;
+use crate::known_groove::binomial_cdf;
 use crate::known_motion::contact_path::ContactPath;
 use crate::known_motion::posterior::REGION;
 use crate::known_motion::{
-    CorrelatedShare, Disagreement, Episode, Friction, Located, Lost, MomentField, MotionRow, Place, Region,
-    Settings, bound_mm, locate, share_correlated,
+    CorrelatedShare, Disagreement, Episode, EpisodeContact, EpisodeEstimate, Friction, MomentField,
+    MotionRow, MotionUnknown, Region, Settings, bound_mm, estimate_contact, share_correlated,
 };
 use crate::reading::{Moments, Reading};
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
@@ -22,7 +22,7 @@ use wcal_core::stream::Flags;
 use wcal_core::verify_document::{CalibrationContact, ContactUncertainty, GrooveTracking};
 use wcal_core::{Role, WhiskerData, WhiskerRow, WireFrame};
 use wcal_trace::whisker::WhiskerSystem;
-use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, MovedReading};
+use wcal_trace::whisker::groove_motion::{AcceptedWire, GrooveMotion, ReadingWithMotion};
 
 /// The rows of a session without the groove's place, so that no answer can come from it; their order stays.
 ///
@@ -52,9 +52,9 @@ pub struct TrackedTrajectory {
     /// Identifier of the session.
     pub id: u32,
     /// Readings in order of time.
-    pub readings: Vec<MovedReading>,
+    pub readings: Vec<ReadingWithMotion>,
     /// What they tell.
-    pub found: Located,
+    pub found: EpisodeEstimate,
     episode: Episode,
 }
 
@@ -71,7 +71,7 @@ impl TrackedTrajectory {
         for row in &mut episode.rows {
             row.noise_nmm2 *= SHARE;
             row.shared_nmm.truncate(self.unknowns());
-            row.shared_way_mm.truncate(self.unknowns());
+            row.shared_displacement_mm.truncate(self.unknowns());
         }
         episode
     }
@@ -164,55 +164,58 @@ pub fn track(
     let frame = session_frame(system, &wire, &changed)?;
     let table = |wire: &AcceptedWire| turned_field(wire, &frame, &system.data.moments);
     let field = table(&wire).with_changed(changed.iter().map(table).collect());
-    let mut by_line: BTreeMap<usize, Vec<MovedReading>> = BTreeMap::new();
+    let mut by_line: BTreeMap<usize, Vec<ReadingWithMotion>> = BTreeMap::new();
     for reading in readings.into_iter().filter(|r| chosen(r.reading)) {
         by_line.entry(reading.line).or_default().push(reading);
     }
-    let located = |(line, readings): (usize, Vec<MovedReading>)| -> Result<TrackedTrajectory, ContactError> {
-        let trajectory = &system.data.trajectories[line];
-        let direction = frame.rotation() * trajectory.direction;
-        let mut rows: Vec<MotionRow> = readings
-            .iter()
-            .map(|r| MotionRow {
-                t_s: r.t_s,
-                moment_nmm: frame.moment(r.moment_nmm),
-                noise_nmm2: frame.covariance(&r.noise_nmm2),
-                shared_nmm: r.shared_nmm.iter().map(|h| frame.moment(*h)).collect(),
-                free_nmm2: None,
-                shared_way_mm: r.shared_way_mm.iter().map(|w| direction * *w).collect(),
-                moved_mm: direction * r.stage_mm,
-                velocity_mm_s: direction * r.velocity_mm_s,
-                moved_sd_mm: 0.0,
-                turn: Rotation3::identity(),
-                free: r.rest,
-                visit: r.visit,
-            })
-            .collect();
-        if let Some(noise) = &correlated {
-            share_correlated(&mut rows, noise);
-        }
-        let episode = Episode { rows, push: Some(direction) };
-        let found = locate(&field, &episode, &Settings::default())?;
-        Ok(TrackedTrajectory { id: trajectory.id, readings, found, episode })
-    };
+    let located =
+        |(line, readings): (usize, Vec<ReadingWithMotion>)| -> Result<TrackedTrajectory, ContactError> {
+            let trajectory = &system.data.trajectories[line];
+            let direction = frame.rotation() * trajectory.direction;
+            let mut rows: Vec<MotionRow> = readings
+                .iter()
+                .map(|r| MotionRow {
+                    t_s: r.t_s,
+                    moment_nmm: frame.moment(r.moment_nmm),
+                    noise_nmm2: frame.covariance(&r.noise_nmm2),
+                    shared_nmm: r.shared_nmm.iter().map(|h| frame.moment(*h)).collect(),
+                    free_nmm2: None,
+                    shared_displacement_mm: r.shared_displacement_mm.iter().map(|w| direction * *w).collect(),
+                    moved_mm: direction * r.stage_mm,
+                    velocity_mm_s: direction * r.velocity_mm_s,
+                    moved_sd_mm: 0.0,
+                    turn: Rotation3::identity(),
+                    free: r.rest,
+                    contact_segment: r.contact_segment,
+                })
+                .collect();
+            if let Some(noise) = &correlated {
+                share_correlated(&mut rows, noise);
+            }
+            let episode = Episode { rows, push: Some(direction) };
+            let found = estimate_contact(&field, &episode, &Settings::default())?;
+            Ok(TrackedTrajectory { id: trajectory.id, readings, found, episode })
+        };
     let trajectories = by_line.into_par_iter().map(located).collect::<Result<Vec<_>, ContactError>>()?;
     Ok(TrackedSession { field, frame, wire, trajectories })
 }
 
 impl TrackedSession {
     /// Place at a reading of the system's path, with the trajectory's disagreement.
-    pub fn places(&self) -> BTreeMap<usize, (Place, Option<Disagreement>)> {
-        let of = |t: &TrackedTrajectory| -> Vec<(usize, (Place, Option<Disagreement>))> {
+    pub fn places(&self) -> BTreeMap<usize, (EpisodeContact, Option<Disagreement>)> {
+        let of = |t: &TrackedTrajectory| -> Vec<(usize, (EpisodeContact, Option<Disagreement>))> {
             let back = self.frame.rotation().inverse();
-            let in_base = |p: &Place| match self.frame.is_base() {
+            let in_base = |p: &EpisodeContact| match self.frame.is_base() {
                 true => p.clone(),
-                false => Place {
+                false => EpisodeContact {
                     place_mm: p.place_mm.map(|at| back * at),
                     covariance_mm2: back * p.covariance_mm2 * back.inverse(),
                     ..p.clone()
                 },
             };
-            let at = |(r, p): (&MovedReading, &Place)| (r.reading, (in_base(p), t.found.disagreement));
+            let at = |(r, p): (&ReadingWithMotion, &EpisodeContact)| {
+                (r.reading, (in_base(p), t.found.disagreement))
+            };
             t.readings.iter().zip(&t.found.places).map(at).collect()
         };
         self.trajectories.iter().flat_map(of).collect()
@@ -301,7 +304,7 @@ pub fn session_readings(
     system: &WhiskerSystem,
     motion: GrooveMotion,
 ) -> Result<(Vec<Reading>, SessionGroove), ContactError> {
-    let one = |r: &MovedReading| {
+    let one = |r: &ReadingWithMotion| {
         let sd = |c: usize| {
             let shared: f64 = r.shared_nmm.iter().map(|h| h[c] * h[c]).sum();
             (r.noise_nmm2[(c, c)] + shared).sqrt()
@@ -322,7 +325,7 @@ pub fn session_readings(
             flags: Flags::default(),
             moments: Some(moments),
             // Each trajectory has its own way, which the estimator knows.
-            motion: Err(Lost::Unknown),
+            motion: Err(MotionUnknown::Unknown),
             base: None,
             base_mm_s: None,
             velocity_mm_s: None,
@@ -382,13 +385,13 @@ impl Estimator for SessionGroove {
         let marked = |said: String| Message::note(format!("{said}; marked motion-disagrees in status"));
         let mut messages: Vec<Message> = disagreements.into_iter().map(marked).collect();
         messages.extend(self.groove.as_ref().map(|g| Message::note(groove_sentence(g))));
-        let misstated = self.groove.as_ref().is_some_and(misstated);
-        Findings { document, messages, doubt, misstated, ..Findings::default() }
+        let coverage_rejected = self.groove.as_ref().is_some_and(coverage_rejected);
+        Findings { document, messages, doubt, coverage_rejected, ..Findings::default() }
     }
 }
 
 /// What speaks against motion and moments; none where nothing does.
-pub fn disagreement_sentence(found: &Located) -> Option<String> {
+pub fn disagreement_sentence(found: &EpisodeEstimate) -> Option<String> {
     let (i, said) = (&found.innovations, found.disagreement?.sentence());
     Some(format!("{said} (chi2 {:.0} for {:.0} degrees of freedom)", i.plain, i.dof))
 }
@@ -404,10 +407,10 @@ fn lost(compared: &[Compared]) -> usize {
 
 /// Whether the groove is not where it was said to be: the stated regions hold too few trajectories for an accident, and the error is more than
 /// the bound explains. Of nine trajectories three that miss by hundredths of a millimetre happen where the noise is that small.
-pub fn misstated(t: &GrooveTracking) -> bool {
+pub fn coverage_rejected(t: &GrooveTracking) -> bool {
     const LEVEL: f64 = 0.01;
     const MAX_ERROR_OVER_BOUND: f64 = 1.3;
-    at_most(t.trajectories_held, t.trajectories, REGION) < LEVEL
+    binomial_cdf(t.trajectories_held, t.trajectories, REGION) < LEVEL
         && t.rmse_mm > MAX_ERROR_OVER_BOUND * t.bound_mm
 }
 

@@ -9,7 +9,7 @@
 //! A row's moments went through a low-pass; the motion is averaged by the same weights.
 
 use crate::ContactError;
-use crate::known_motion::{Lost, MotionLog};
+use crate::known_motion::{MotionLog, MotionUnknown};
 use crate::reading::RowMotion;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use std::collections::BTreeMap;
@@ -105,14 +105,14 @@ impl StreamMotion {
         t_s: f64,
         kernel: &[(f64, f64)],
         middle: &Vector3<f64>,
-    ) -> Result<RowMotion, Lost> {
+    ) -> Result<RowMotion, MotionUnknown> {
         if let Some(log) = &self.log {
             let m = log.averaged(t_s, middle, kernel)?;
             let (moved_mm, velocity_mm_s) = (m.moved_mm, m.velocity_mm_s);
             return Ok(RowMotion { moved_mm, turn: m.turn, velocity_mm_s, piece: m.piece, push: None });
         }
         let along = |motion: &BaseMotion, sign: f64, push: Option<Vector3<f64>>| {
-            let (moved, velocity) = motion.averaged(t_s, kernel).ok_or(Lost::Outside)?;
+            let (moved, velocity) = motion.averaged(t_s, kernel).ok_or(MotionUnknown::Outside)?;
             Ok(RowMotion {
                 moved_mm: moved * sign,
                 turn: Rotation3::identity(),
@@ -124,7 +124,7 @@ impl StreamMotion {
         match (&self.base, &self.groove) {
             (Some(base), _) => along(base, -1.0, None),
             (None, Some((groove, direction))) => along(groove, 1.0, Some(*direction)),
-            (None, None) => Err(Lost::Unknown),
+            (None, None) => Err(MotionUnknown::Unknown),
         }
     }
 

@@ -15,8 +15,8 @@
 use crate::ContactError;
 use crate::arc::{allowed_weights, arclength_regions, stated_answer};
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
-use crate::moments_alone::loaded;
 use crate::reading::{Moments, Reading};
+use crate::static_arc::loaded;
 use crate::track_document::{EstimatorDocument, Method, POINT_OF_OBJECT};
 use rayon::prelude::*;
 use wcal_core::WhiskerSpec;
@@ -120,7 +120,7 @@ impl Estimator for SweepFilter {
 
     fn findings(&self) -> Findings {
         let document = EstimatorDocument {
-            method: Some(Method::MomentsAlone),
+            method: Some(Method::StaticArc),
             place: Some(POINT_OF_OBJECT),
             ..EstimatorDocument::default()
         };

@@ -3,7 +3,7 @@
 use crate::ContactError;
 use crate::groove_table::known_places;
 use crate::known_groove::{KnownPlace, velocities};
-use crate::known_motion::{Lost, Motion};
+use crate::known_motion::{Motion, MotionUnknown};
 use crate::motion_table::{LoggedMotion, is_motion_column};
 use crate::reading::{Moments, Reading, RowMotion};
 use nalgebra::{Isometry3, Matrix2, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
@@ -152,7 +152,7 @@ impl TableSource {
             t_s: row.t_s.unwrap_or_default(),
             flags: if usable { Flags::default() } else { Flags::REFERENCE_LOST },
             moments: usable.then_some(moments),
-            motion: Err(Lost::Unknown),
+            motion: Err(MotionUnknown::Unknown),
             base: None,
             base_mm_s: None,
             velocity_mm_s: None,

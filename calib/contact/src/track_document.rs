@@ -1,7 +1,7 @@
 //! `track.json`: what a track is made of and what was found, as a program reads it. Every key is in docs/schemas/track.json.
 
 use crate::known_motion::contact_stream::FinishedEpisode;
-use crate::known_motion::{Disagreement, Innovations, Located, Posterior, Region};
+use crate::known_motion::{Disagreement, EpisodeEstimate, Innovations, Posterior, Region};
 use crate::mesh_score::MeshScore;
 use crate::object_judgement::ObjectJudgement;
 use crate::sliding::SlidingContact;
@@ -37,7 +37,7 @@ pub enum Method {
     /// Along a known motion.
     KnownMotion,
     /// By the moments alone.
-    MomentsAlone,
+    StaticArc,
 }
 
 /// `track.json`.
@@ -166,7 +166,7 @@ pub struct ContactDocument {
     /// Degrees of freedom.
     pub dof: f64,
     /// Outliers.
-    pub gross: usize,
+    pub outlier: usize,
     /// Why moments and motion do not belong together.
     pub disagreement: Option<&'static str>,
     /// Readings.
@@ -193,7 +193,7 @@ impl ContactDocument {
             chi2: i.plain,
             chi2_robust: i.robust,
             dof: i.dof,
-            gross: i.gross,
+            outlier: i.outlier,
             disagreement: disagreement.map(Disagreement::name),
             readings,
             from_s: None,
@@ -205,7 +205,7 @@ impl ContactDocument {
 
     /// Of a session's trajectory.
     #[must_use]
-    pub fn of_trajectory(id: u32, found: &Located, readings: usize) -> Self {
+    pub fn of_trajectory(id: u32, found: &EpisodeEstimate, readings: usize) -> Self {
         let regions = found.posterior.as_ref().map(Posterior::regions);
         Self { trajectory: Some(id), regions, ..Self::new(&found.innovations, found.disagreement, readings) }
     }
@@ -213,7 +213,7 @@ impl ContactDocument {
     /// Of a table's contact; as one that slides, where the motion supports it.
     #[must_use]
     pub fn of_table(
-        found: &Located,
+        found: &EpisodeEstimate,
         [from_s, to_s]: [f64; 2],
         readings: usize,
         sliding: Option<&SlidingContact>,

@@ -202,7 +202,8 @@ impl<'a> WhiskerTrack<'a> {
             messages,
             outcome: Outcome {
                 outside: self.outside > 0,
-                misstated: found.misstated || groove.is_some_and(KnownGroove::misstated),
+                coverage_rejected: found.coverage_rejected
+                    || groove.is_some_and(KnownGroove::coverage_rejected),
                 lost: found.lost,
                 doubt: found.doubt,
             },
@@ -227,7 +228,7 @@ pub struct Outcome {
     /// Rows lie outside the calibration's valid region.
     pub outside: bool,
     /// Stated regions do not hold a known groove.
-    pub misstated: bool,
+    pub coverage_rejected: bool,
     /// Readings were lost, dropped or unusable.
     pub lost: bool,
     /// Contact in a motion of which the estimator knows nothing, or that does not belong to the moments.
@@ -240,7 +241,7 @@ impl Outcome {
     pub fn and(self, other: Self) -> Self {
         Self {
             outside: self.outside || other.outside,
-            misstated: self.misstated || other.misstated,
+            coverage_rejected: self.coverage_rejected || other.coverage_rejected,
             lost: self.lost || other.lost,
             doubt: self.doubt || other.doubt,
         }
@@ -249,7 +250,7 @@ impl Outcome {
     /// Exit code of the program: 4 before 3 before 0; `forced`: the user takes what is not good enough.
     #[must_use]
     pub fn exit_code(self, forced: bool) -> u8 {
-        match ((self.outside || self.misstated) && !forced, self.lost || self.doubt) {
+        match ((self.outside || self.coverage_rejected) && !forced, self.lost || self.doubt) {
             (true, _) => 4,
             (false, true) => 3,
             (false, false) => 0,

@@ -26,7 +26,7 @@ const MIN_NOISE_NMM: f64 = 5e-4;
 
 /// The beginning of a record that is free of contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Beginning {
+pub enum FreeStart {
     /// So long, s, with a noise of the readings of this covariance, (N mm)^2.
     Free {
         /// From the first reading to the last free one, s.
@@ -112,33 +112,33 @@ pub(crate) fn steady(moments_nmm: &[Vector2<f64>], noise_nmm: f64) -> Option<Ste
 /// What the first readings of a table are. A calibration that does not know the zero of the free wire cannot tell a beginning in contact: any
 /// steady one is taken for free.
 #[must_use]
-pub fn beginning(readings: &[Reading], zero_known: bool) -> Beginning {
+pub fn beginning(readings: &[Reading], zero_known: bool) -> FreeStart {
     let all: Vec<(f64, &Moments)> =
         readings.iter().filter_map(|r| Some((r.t_s, r.moments.as_ref()?))).collect();
     let moments: Vec<Vector2<f64>> = all.iter().map(|(_, m)| m.moment_nmm.into()).collect();
     let known = all.first().and_then(|(_, m)| m.own_nmm2).map_or(0.0, |n| (0.5 * n.trace()).sqrt());
     let Some(Steady { count: free, limit_nmm: limit }) = steady(&moments, known) else {
-        return Beginning::Unknown;
+        return FreeStart::Unknown;
     };
     let at = |k: usize| moments[k];
     let mean = (0..free).map(at).sum::<Vector2<f64>>() / free as f64;
     let m = all[0].1;
     let shared: f64 = m.shared_nmm.iter().map(|h| h[0] * h[0] + h[1] * h[1]).sum();
     if zero_known && mean.norm() > (ZERO_SDS * (m.pose_nmm2.trace() + shared).sqrt()).max(limit) {
-        return Beginning::Loaded(mean.norm());
+        return FreeStart::Loaded(mean.norm());
     }
     let spread: Matrix2<f64> = (0..free).map(|k| (at(k) - mean) * (at(k) - mean).transpose()).sum();
     let floor = Matrix2::identity() * MIN_NOISE_NMM * MIN_NOISE_NMM;
     let noise_nmm2 = spread / (free - 1) as f64 + floor;
     // Half a step past the last free reading.
     let next = all.get(free).map_or(all[free - 1].0, |n| 0.5 * (all[free - 1].0 + n.0));
-    Beginning::Free { span_s: next - all[0].0, readings: free, noise_nmm2 }
+    FreeStart::Free { span_s: next - all[0].0, readings: free, noise_nmm2 }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::known_motion::Lost;
+    use crate::known_motion::MotionUnknown;
     use wcal_core::stream::Flags;
 
     fn reading(k: usize, moment_nmm: [f64; 2]) -> Reading {
@@ -157,7 +157,7 @@ mod tests {
             t_s: 0.1 * k as f64,
             flags: Flags::default(),
             moments: Some(moments),
-            motion: Err(Lost::Unknown),
+            motion: Err(MotionUnknown::Unknown),
             base: None,
             base_mm_s: None,
             velocity_mm_s: None,
@@ -177,7 +177,7 @@ mod tests {
     #[test]
     fn the_free_beginning_is_the_zero_and_says_what_the_noise_is() {
         let readings = record(0.2);
-        let Beginning::Free { span_s, readings: free, noise_nmm2 } = beginning(&readings, true) else {
+        let FreeStart::Free { span_s, readings: free, noise_nmm2 } = beginning(&readings, true) else {
             panic!()
         };
         assert!(free == 10 && (span_s - 0.95).abs() < 1e-9, "{free} {span_s}");
@@ -197,13 +197,13 @@ mod tests {
 
     #[test]
     fn a_record_that_begins_in_contact_has_no_free_beginning() {
-        let Beginning::Loaded(nmm) = beginning(&record(3.0), true) else {
+        let FreeStart::Loaded(nmm) = beginning(&record(3.0), true) else {
             panic!("{:?}", beginning(&record(3.0), true))
         };
         assert!((nmm - 3.0).abs() < 0.01);
         // A calibration without the zero of the free wire takes the steady beginning for free.
-        assert!(matches!(beginning(&record(3.0), false), Beginning::Free { readings: 10, .. }));
-        assert_eq!(beginning(&record(0.0)[9..], true), Beginning::Unknown);
-        assert_eq!(beginning(&record(0.0)[..3], true), Beginning::Unknown);
+        assert!(matches!(beginning(&record(3.0), false), FreeStart::Free { readings: 10, .. }));
+        assert_eq!(beginning(&record(0.0)[9..], true), FreeStart::Unknown);
+        assert_eq!(beginning(&record(0.0)[..3], true), FreeStart::Unknown);
     }
 }

@@ -6,11 +6,11 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 use wcal_contact::estimator::Estimator;
-use wcal_contact::known_motion::{Friction, Lost, MomentField};
+use wcal_contact::known_motion::{Friction, MomentField, MotionUnknown};
 use wcal_contact::known_motion_stream::{KnownMotionStream, MotionAccuracy};
 use wcal_contact::known_motion_table::KnownMotionTable;
-use wcal_contact::moments_alone::MomentsAlone;
 use wcal_contact::reading::{Moments, Reading, RowMotion};
+use wcal_contact::static_arc::StaticArc;
 use wcal_contact::track_table::TrackRow;
 use wcal_contact::whisker_track::{WhiskerFacts, WhiskerTrack};
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
@@ -99,12 +99,12 @@ impl Session {
         let estimator: Box<dyn Estimator> = match which {
             0 => Box::new(KnownMotionTable::new(field(&whisker), &whisker, ACCURACY, false)),
             1 => Box::new(KnownMotionStream::new(Arc::new(field(&whisker)), &whisker, ACCURACY)),
-            _ => Box::new(MomentsAlone::new(&whisker)),
+            _ => Box::new(StaticArc::new(&whisker)),
         };
         let mut track = WhiskerTrack::new(WhiskerFacts::default(), (frame, estimator), 0.0, true);
         let mut rows = Vec::new();
         for reading in self.readings() {
-            let motion = if which == 2 { Err(Lost::Unknown) } else { reading.motion };
+            let motion = if which == 2 { Err(MotionUnknown::Unknown) } else { reading.motion };
             rows.extend(track.push(Reading { motion, ..reading }).unwrap());
         }
         rows.extend(track.finish().unwrap());

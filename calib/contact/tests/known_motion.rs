@@ -8,16 +8,17 @@ use rand_distr::StandardNormal;
 use std::collections::BTreeMap;
 use wcal_contact::known_motion::contact_path::ContactPath;
 use wcal_contact::known_motion::{
-    Disagreement, Episode, Friction, Located, MomentField, MotionRow, Settings, bound, check, locate,
+    Disagreement, Episode, EpisodeEstimate, Friction, MomentField, MotionRow, Settings, bound, check,
+    estimate_contact,
 };
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
-use wcal_plant::case::{Case, Make, Request, Want};
+use wcal_plant::case::{Case, CaseKind, Make, Request};
 use wcal_plant::session::draw_under;
 use wcal_plant::{Design, Noise};
 use wcal_rod::{Line, Outcome, Rod};
 
 fn drawn(seed: u64, design: Design) -> Case {
-    let request = Request { seed, design, want: Want::Null, target_sigma: 0.0, rivals: false };
+    let request = Request { seed, design, want: CaseKind::Null, target_sigma: 0.0, rivals: false };
     draw_under(&request, Noise::Gaussian, Make::Usual).unwrap()
 }
 
@@ -62,13 +63,13 @@ fn episodes(case: &Case) -> Vec<(Episode, Vector3<f64>)> {
             noise_nmm2: inverse * inverse.transpose() * noise_pm * noise_pm,
             shared_nmm: Vec::new(),
             free_nmm2: None,
-            shared_way_mm: Vec::new(),
+            shared_displacement_mm: Vec::new(),
             moved_mm: direction * p.stage_mm,
             velocity_mm_s: direction * (p.speed_mm_s * f64::from(p.direction)),
             moved_sd_mm: 0.0,
             turn: Rotation3::identity(),
             free: p.role == "rest",
-            visit: p.replicate as u32,
+            contact_segment: p.replicate as u32,
         });
     }
     all.into_values().collect()
@@ -84,7 +85,7 @@ struct Score {
     doubted: usize,
 }
 
-fn score(case: &Case, change: impl Fn(&Episode) -> Episode, score: &mut Score) -> Vec<Located> {
+fn score(case: &Case, change: impl Fn(&Episode) -> Episode, score: &mut Score) -> Vec<EpisodeEstimate> {
     let (field, settings) = (field(case), Settings::default());
     let mut out = Vec::new();
     for (episode, place) in episodes(case) {
@@ -92,7 +93,7 @@ fn score(case: &Case, change: impl Fn(&Episode) -> Episode, score: &mut Score) -
         let truth = path.state_of(&place, 0, None).unwrap();
         let bound = bound::bound_mm(&field, &episode, &settings, &truth).unwrap().unwrap();
         let changed = change(&episode);
-        let found = locate(&field, &changed, &settings).unwrap();
+        let found = estimate_contact(&field, &changed, &settings).unwrap();
         score.episodes += 1;
         score.doubted += usize::from(found.disagreement.is_some());
         if let (Some(p), Some(at)) = (&found.posterior, found.places[0].place_mm) {
@@ -158,11 +159,11 @@ fn a_gross_reading_is_named_and_draws_nothing() {
         // The deepest readings locate the contact.
         let k = loaded[rng.random_range(loaded.len() / 2..loaded.len())];
         episode.rows[k].moment_nmm[rng.random_range(0..2_usize)] += rng.random_range(0.3..3.0);
-        let found = locate(&field, &episode, &settings).unwrap();
-        named += usize::from(found.places[k].gross && found.disagreement.is_none());
+        let found = estimate_contact(&field, &episode, &settings).unwrap();
+        named += usize::from(found.places[k].outlier && found.disagreement.is_none());
         robust += (found.places[0].place_mm.unwrap() - place).norm_squared();
         let without = Settings { gross_share: 0.0, ..settings };
-        let found = locate(&field, &episode, &without).unwrap();
+        let found = estimate_contact(&field, &episode, &without).unwrap();
         plain += found.places[0].place_mm.map_or(1e3, |at| (at - place).norm_squared());
         episodes_count += 1;
     }
@@ -199,13 +200,13 @@ fn wandering(field: &MomentField, seed: u64) -> (Episode, Vector3<f64>) {
             noise_nmm2: Matrix2::identity() * noise_nmm * noise_nmm,
             shared_nmm: Vec::new(),
             free_nmm2: None,
-            shared_way_mm: Vec::new(),
+            shared_displacement_mm: Vec::new(),
             moved_mm,
             turn,
             velocity_mm_s: Vector3::zeros(),
             moved_sd_mm: 0.0,
             free: false,
-            visit: 0,
+            contact_segment: 0,
         }
     };
     let rows: Vec<MotionRow> = ways.iter().enumerate().map(row).collect();
@@ -226,14 +227,15 @@ fn motion_in_any_direction_with_holds_reversals_and_turns_is_followed() {
         let last = episode.rows.len() - 1;
         let truth = path.state_of(&place, last, None).unwrap();
         let bound = bound::bound_mm(&field, &episode, &settings, &truth).unwrap().unwrap();
-        let found = locate(&field, &episode, &settings).unwrap();
+        let found = estimate_contact(&field, &episode, &settings).unwrap();
         assert!(found.disagreement.is_none(), "{seed}: {:?}", found.innovations);
         held += usize::from(found.posterior.unwrap().holds(&truth));
         ratios.push((found.places[last].place_mm.unwrap() - place).norm() / bound);
         // Control: the same motion without its turn.
         let mut straight = episode.clone();
         straight.rows.iter_mut().for_each(|r| r.turn = Rotation3::identity());
-        ignored += usize::from(locate(&field, &straight, &settings).unwrap().disagreement.is_some());
+        ignored +=
+            usize::from(estimate_contact(&field, &straight, &settings).unwrap().disagreement.is_some());
     }
     ratios.sort_by(f64::total_cmp);
     assert!(held >= EPISODES - 3, "{held} of {EPISODES}: {ratios:?}");
@@ -296,13 +298,13 @@ fn pressed(rod: &Rod, field: &MomentField, noise_nmm: f64, seed: u64) -> Option<
         noise_nmm2: Matrix2::identity() * noise_nmm * noise_nmm,
         shared_nmm: Vec::new(),
         free_nmm2: None,
-        shared_way_mm: Vec::new(),
+        shared_displacement_mm: Vec::new(),
         moved_mm: line.direction * *x,
         turn: Rotation3::identity(),
         velocity_mm_s: Vector3::zeros(),
         moved_sd_mm: 0.0,
         free: false,
-        visit: 0,
+        contact_segment: 0,
     };
     let twice: Vec<_> = moments.iter().flat_map(|m| [*m, *m]).collect();
     let rows = twice.iter().enumerate().map(row).collect();
@@ -323,7 +325,7 @@ fn regions_hold_where_the_noise_is_smaller_than_the_table_s_error() {
             episode.rows.iter_mut().for_each(|r| r.noise_nmm2 = stated);
             let path = ContactPath::new(&field, &episode).unwrap();
             let truth = path.state_of(&place, 0, None).unwrap();
-            let found = locate(&field, &episode, &settings).unwrap();
+            let found = estimate_contact(&field, &episode, &settings).unwrap();
             all += 1;
             held += usize::from(found.posterior.unwrap().holds(&truth));
             squares += (found.places[0].place_mm.unwrap() - place).norm_squared();

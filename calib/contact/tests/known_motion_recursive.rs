@@ -11,7 +11,7 @@ use wcal_contact::known_motion::contact_path::State;
 use wcal_contact::known_motion::contact_stream::FinishedEpisode;
 use wcal_contact::known_motion::{
     ContactStream, Episode, Friction, MomentField, MotionRow, PoseNoise, RecursivePosterior,
-    RecursiveSettings, Settings, locate,
+    RecursiveSettings, Settings, estimate_contact,
 };
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_rod::Rod;
@@ -100,13 +100,13 @@ fn press(field: &MomentField, seed: u64, draws: Draws) -> Option<Press> {
             noise_nmm2: Matrix2::identity() * NOISE_NMM * NOISE_NMM,
             shared_nmm,
             free_nmm2: None,
-            shared_way_mm: Vec::new(),
+            shared_displacement_mm: Vec::new(),
             moved_mm: push * *way,
             turn: Rotation3::identity(),
             velocity_mm_s,
             moved_sd_mm: MOVED_SD_MM * draws.motion,
             free: false,
-            visit: 0,
+            contact_segment: 0,
         });
     }
     Some(Press { rows, push, truth: State { s_mm, onset_mm: 0.0, gap_mm } })
@@ -150,7 +150,7 @@ fn held_at_the_end(field: &MomentField, press: &Press) -> [bool; 2] {
     let found = recursive(field, press, |_, _, mm| reference_mm = mm);
     let truth = State { onset_mm: press.truth.onset_mm - reference_mm, ..press.truth };
     let episode = Episode { rows: press.rows.clone(), push: Some(press.push) };
-    let batch = locate(field, &episode, &settings(None).common).unwrap().posterior;
+    let batch = estimate_contact(field, &episode, &settings(None).common).unwrap().posterior;
     [found.posterior().holds(&truth), batch.is_some_and(|p| p.holds(&truth))]
 }
 
@@ -166,7 +166,7 @@ fn against_batch(field: &MomentField, press: &Press) -> [f64; 3] {
     let last = press.rows.last().unwrap();
     let (place, posterior) = found.place(field, last);
     let episode = Episode { rows: press.rows.clone(), push: Some(press.push) };
-    let batch = locate(field, &episode, &settings.common).unwrap();
+    let batch = estimate_contact(field, &episode, &settings.common).unwrap();
     let there = batch.places.last().unwrap();
     let off = place.place_mm.unwrap() - there.place_mm.unwrap();
     let sd = |p: &wcal_contact::known_motion::Posterior| {
@@ -225,7 +225,7 @@ fn the_recursive_posterior_ends_where_the_batch_does() {
             let found = recursive(&field, &scaled, |_, _, _| {});
             let place = found.place(&field, scaled.rows.last()?).0.place_mm?;
             let episode = Episode { rows: press.rows, push: Some(press.push) };
-            let batch = locate(&field, &episode, &settings(None).common).ok()?;
+            let batch = estimate_contact(&field, &episode, &settings(None).common).ok()?;
             let there = batch.places.last()?;
             let off = place - there.place_mm?;
             Some(off.dot(&there.covariance_mm2.cholesky()?.solve(&off)).sqrt())

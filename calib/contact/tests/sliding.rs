@@ -60,13 +60,13 @@ fn tracks(angle_deg: f64, seed: u64) -> Vec<Track> {
                 noise_nmm2: Matrix2::identity() * NOISE_NMM * NOISE_NMM,
                 shared_nmm: vec![[ZERO_NMM, 0.0], [0.0, ZERO_NMM]],
                 free_nmm2: None,
-                shared_way_mm: Vec::new(),
+                shared_displacement_mm: Vec::new(),
                 moved_mm: back * Vector3::z() * -s.travel_mm,
                 turn: Rotation3::identity(),
                 velocity_mm_s: Vector3::zeros(),
                 moved_sd_mm: 0.0,
                 free: false,
-                visit: 0,
+                contact_segment: 0,
             }
         };
         let rows = order.iter().enumerate().map(row).collect();

@@ -42,13 +42,13 @@ fn rows(case: &SweepCase, gain: f64, way: f64) -> Vec<MotionRow> {
             noise_nmm2,
             shared_nmm: [[zero_nmm, 0.0], [0.0, zero_nmm]].into_iter().chain(map).collect(),
             free_nmm2: None,
-            shared_way_mm: Vec::new(),
+            shared_displacement_mm: Vec::new(),
             moved_mm: -case.readings[k].base_mm * way,
             turn: Rotation3::identity(),
             velocity_mm_s: Vector3::zeros(),
             moved_sd_mm: 0.0,
             free: false,
-            visit: 0,
+            contact_segment: 0,
         }
     };
     (0..case.readings.len()).map(row).collect()

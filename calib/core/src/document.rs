@@ -1,6 +1,6 @@
 //! Documents as they are read: syntax, format and version, the range of every number, and only then the type.
 
-use crate::format::{self, OtherFormat};
+use crate::format::{self, FormatMismatch};
 use crate::ranges::{self, Numbers, OutOfRange, Range};
 use serde::de::DeserializeOwned;
 
@@ -12,7 +12,7 @@ pub enum DocumentError {
     Content(String),
     /// Another format or version.
     #[error(transparent)]
-    Format(#[from] OtherFormat),
+    Format(#[from] FormatMismatch),
     /// A number that its key cannot have.
     #[error(transparent)]
     Range(#[from] OutOfRange),

@@ -3,7 +3,7 @@
 /// Another format or version than the one that is read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("field `format`: expected {expected:?}, found {found}")]
-pub struct OtherFormat {
+pub struct FormatMismatch {
     /// The one that is read.
     pub expected: String,
     /// What the document states, and whether a newer wcal reads it.
@@ -14,7 +14,7 @@ pub struct OtherFormat {
 ///
 /// # Errors
 /// What was expected and found.
-pub fn expect(expected: &str, found: Option<&str>) -> Result<(), OtherFormat> {
+pub fn expect(expected: &str, found: Option<&str>) -> Result<(), FormatMismatch> {
     if found == Some(expected) {
         return Ok(());
     }
@@ -22,7 +22,7 @@ pub fn expect(expected: &str, found: Option<&str>) -> Result<(), OtherFormat> {
     let hint = if newer { " (a newer version: update wcal to read it)" } else { "" };
     let shown = |found: &str| format!("{:?}{hint}", found.chars().take(60).collect::<String>());
     let found = found.map_or_else(|| "nothing".to_owned(), shown);
-    Err(OtherFormat { expected: expected.to_owned(), found })
+    Err(FormatMismatch { expected: expected.to_owned(), found })
 }
 
 /// Whether `found` is a later version of the format.

@@ -9,7 +9,7 @@ use crate::provenance::InputFile;
 use serde::{Deserialize, Serialize};
 
 pub use errors::{
-    CalibrationContact, CalibrationJudgement, ContactUncertainty, EffectLeftOut, GrooveTracking,
+    CalibrationContact, CalibrationJudgement, ContactUncertainty, EffectAblation, GrooveTracking,
     HeldOutError, MapLeftOut,
 };
 pub use findings::{
@@ -94,7 +94,7 @@ pub struct VerifyDocument {
     pub notes: Vec<String>,
     /// What each accepted effect is worth.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub leave_one_effect_out: Vec<EffectLeftOut>,
+    pub leave_one_effect_out: Vec<EffectAblation>,
     /// Which fitted values the data determine only together, in sentences.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub identifiability: Vec<String>,

@@ -9,7 +9,7 @@ use wcal_track::bootstrap::{ErrorOf, mean_interval95, object_interval95};
 use wcal_track::classes::ClassCoverage;
 use wcal_track::evaluate::ObjectScores;
 use wcal_track::score::{Detection, Scores};
-use wcal_track::two_contacts::{GivenPreviousTruth, TwoContacts};
+use wcal_track::two_contacts::{OneStepDetection, TwoContacts};
 
 /// Format of evaluation.json.
 pub const FORMAT: &str = "wcal-evaluation/1";
@@ -45,7 +45,7 @@ pub struct EvaluationDocument {
     /// The same by the network.
     pub two_contacts_network: Option<TwoContacts>,
     /// The same by one who knows the truth of the sample before.
-    pub two_contacts_told_before: Option<GivenPreviousTruth>,
+    pub two_contacts_told_before: Option<OneStepDetection>,
     /// Coverage by class of object, of models with classes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub classes: Option<Classes>,

@@ -32,7 +32,7 @@ use wcal_track::two_contacts::{
     contact_evidence, network_evidence, two_contacts, two_contacts_given_previous,
 };
 use wcal_track::{InverseGrid, Sample, StaticInverse, SweepSeries, Tracker};
-use work::{STREAMING, TWO_CONTACTS, Work, cost};
+use work::{EvaluationProgress, STREAMING, TWO_CONTACTS, cost};
 
 /// The best method, whose errors stand for the tracker.
 const BEST: &str = "network, speed known";
@@ -153,7 +153,7 @@ pub fn evaluate(
     let count = sets.series().map(|set| set.len() as f64);
     let tables = tables::cost(card, order) + test_objects::cost(order);
     let each = methods.iter().map(|m| cost(&m.1)).sum();
-    let work = Work::new(around.progress, count.iter().sum(), each, tables);
+    let work = EvaluationProgress::new(around.progress, count.iter().sum(), each, tables);
 
     let mut scores = Vec::new();
     for (k, (set, all_series)) in sets.named().into_iter().enumerate() {
@@ -172,8 +172,15 @@ pub fn evaluate(
     if !order.simulation_only {
         let folder = tempfile::tempdir()
             .map_err(|source| EvaluateError::Write { path: std::env::temp_dir(), source })?;
-        let maker =
-            tables::Maker { tracker, card, order, around, folder: folder.path(), work: &work, curve: &fine };
+        let maker = tables::BenchEvaluator {
+            tracker,
+            card,
+            order,
+            around,
+            folder: folder.path(),
+            work: &work,
+            curve: &fine,
+        };
         document.tables = Some(maker.tables()?);
         document.test_objects = Some(test_objects::table((tracker, &card.whisker), order, &work)?);
     }

@@ -6,7 +6,7 @@ mod upright;
 use crate::document::{Interval, KnownMotion, MediumRow, SpeedRow, Tables, mean};
 use crate::error::EvaluateError;
 use crate::virtual_bench::{STREAM_NOISES, VirtualBench};
-use crate::work::{ABLATION, BENCH, ON_BENCH, SWEEP, Work};
+use crate::work::{ABLATION, BENCH, EvaluationProgress, ON_BENCH, SWEEP};
 use crate::{Order, Surroundings, meshes};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -37,7 +37,7 @@ const RATE_HZ: f64 = 10.0;
 const ON_THE_SPOT: u64 = 0x6576_616c_7561_7465;
 
 /// What the tables are made with.
-pub struct Maker<'a> {
+pub struct BenchEvaluator<'a> {
     /// Network.
     pub tracker: &'a Tracker,
     /// Its card.
@@ -49,7 +49,7 @@ pub struct Maker<'a> {
     /// Folder for what is in between.
     pub folder: &'a Path,
     /// How far the work is.
-    pub work: &'a Work<'a>,
+    pub work: &'a EvaluationProgress<'a>,
     /// Curves of inverse solutions of the model's whisker.
     pub curve: &'a StaticInverse,
 }
@@ -104,7 +104,7 @@ fn known_motion(bench: &VirtualBench) -> Option<KnownMotion> {
     })
 }
 
-impl Maker<'_> {
+impl BenchEvaluator<'_> {
     /// All tables.
     pub fn tables(&self) -> Result<Tables, EvaluateError> {
         self.work.next("calibrating the virtual bench", BENCH);

@@ -5,7 +5,7 @@
 use crate::Order;
 use crate::document::{ObjectRow, TestObjects, TestRow, coverage90, intervals, mean};
 use crate::error::EvaluateError;
-use crate::work::{SWEEP, Work, cost as cost_of};
+use crate::work::{EvaluationProgress, SWEEP, cost as cost_of};
 use std::collections::BTreeMap;
 use wcal_core::WhiskerSpec;
 use wcal_sim::objects::{TEST_NAMES, built_in};
@@ -47,7 +47,7 @@ pub fn cost(order: &Order<'_>) -> f64 {
 pub fn table(
     (tracker, whisker): (&Tracker, &WhiskerSpec),
     order: &Order<'_>,
-    work: &Work<'_>,
+    work: &EvaluationProgress<'_>,
 ) -> Result<TestObjects, EvaluateError> {
     let meshes: BTreeMap<String, Mesh> = TEST_NAMES
         .iter()

@@ -16,7 +16,7 @@ use wcal_plant::bench::{Bench, PM_PER_DEGC};
 use wcal_plant::effects::FBG_PM;
 use wcal_plant::noise::Noise;
 use wcal_plant::session::draw_on;
-use wcal_plant::{Design, Kind, Request, Want};
+use wcal_plant::{CaseKind, Design, Kind, Request};
 use wcal_sim::SweepPlan;
 use wcal_sim::physics::{Medium, PhysicsPlan};
 use wcal_track::{SweepSeries, Tare};
@@ -91,7 +91,7 @@ impl VirtualBench {
         let request = Request {
             seed,
             design: Design::Rich,
-            want: Want::Effects(vec![Kind::FbgThree, Kind::OffsetGroove]),
+            want: CaseKind::Effects(vec![Kind::FbgThree, Kind::OffsetGroove]),
             target_sigma: SIZE_SIGMA,
             rivals: false,
         };

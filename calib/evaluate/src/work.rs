@@ -28,14 +28,14 @@ pub fn cost(method: &Method<'_>) -> f64 {
 }
 
 /// The parts of an evaluation, one after the other.
-pub struct Work<'a> {
+pub struct EvaluationProgress<'a> {
     progress: &'a dyn Fn(&str, f64),
     all: f64,
     done: Cell<f64>,
     now: Cell<f64>,
 }
 
-impl<'a> Work<'a> {
+impl<'a> EvaluationProgress<'a> {
     /// Of `sweeps` sweeps by methods that cost `methods` together, and the tables that the arguments ask for.
     pub fn new(progress: &'a dyn Fn(&str, f64), sweeps: f64, methods: f64, tables: f64) -> Self {
         let all = sweeps * (methods + TWO_CONTACTS) + STREAMING + tables;

@@ -11,14 +11,14 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// A process conditioned on values.
 #[derive(Debug, Clone)]
-pub struct Conditioned {
+pub struct ConditionedProcess {
     factor: Cholesky<f64, Dyn>,
     values: DVector<f64>,
     /// a, one a value.
     pub weights: DVector<f64>,
 }
 
-impl Conditioned {
+impl ConditionedProcess {
     /// From C (n x n) and the values (n).
     ///
     /// # Errors
@@ -73,7 +73,7 @@ mod tests {
             kernel.at((at(i) - at(j)).norm()) + if i == j { 1e-6 } else { 0.0 }
         });
         let values = DVector::from_fn(n, |k, _| at(k).sum());
-        let process = Conditioned::new(gram.clone(), values.clone()).unwrap();
+        let process = ConditionedProcess::new(gram.clone(), values.clone()).unwrap();
         let near = |x: &DVector<f64>| DVector::from_fn(n, |k, _| kernel.at((at(k) - x).norm()));
         for k in 0..n {
             let of = near(&at(k));
@@ -86,6 +86,6 @@ mod tests {
         assert!((process.misfit() / (values.transpose() * inverse * &values)[0] - 1.0).abs() < 1e-6);
         assert!((process.log_determinant() - gram.determinant().ln()).abs() < 1e-6);
         // Control: a matrix that is no covariance is refused.
-        assert!(Conditioned::new(-gram, values).is_err());
+        assert!(ConditionedProcess::new(-gram, values).is_err());
     }
 }

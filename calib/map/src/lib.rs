@@ -36,7 +36,7 @@ pub use document::document;
 pub use error::MapError;
 pub use evidence::{Criterion, ShapeSearch, choose_hyperparameters, log_evidence};
 pub use fit::{FitOptions, MAX_PROCESS_READINGS, MapFit, fit_map};
-pub use gaussian::Conditioned;
+pub use gaussian::ConditionedProcess;
 pub use identifiability::{IdentifiabilityReport, WavelengthFromMoment, identify};
 pub use kernel::{Kernel, RADIUS_PER_DIAMETER};
 pub use predictor::{MapPrediction, MapPredictor};

@@ -16,7 +16,7 @@ use wcal_core::observation::WhiskerSpec;
 use wcal_rod::{Contact, Surface};
 use wcal_sim::physics::FluidLoads;
 use wcal_sim::rod_engine::{LINKS, Run, event};
-use wcal_sim::sweep::{ENGINE_DIED, Event, HOLD_S, Passing, Sample, Sweep, SweepPlan, Verdict};
+use wcal_sim::sweep::{ENGINE_DIED, Event, HOLD_S, MovingObject, Sample, Sweep, SweepPlan, Verdict};
 use wcal_sim::{Mesh, RodEngine};
 
 /// Share of steps with a change between touching and free past which a sample chatters, and of such samples past which a sweep does.
@@ -162,7 +162,7 @@ impl CableEngine {
             frame = self.engine.frame(&Request::Run { steps: SETTLE_STEPS })?;
         }
         let mut nodes = nodes_mm(&frame, 0.0);
-        let at_start = Passing::new(mesh, sweep, 0.0);
+        let at_start = MovingObject::new(mesh, sweep, 0.0);
         if nodes.iter().any(|p| at_start.closest_point(p, 4.0).is_some_and(|n| n.distance_mm < radius_mm)) {
             run.verdict = Verdict::Rejected("starts-inside");
             return Ok(());
@@ -198,7 +198,7 @@ impl CableEngine {
             let moved = nodes.iter().zip(&before).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
             let snapped = moved > SPRING_MM + 3.0 * step_mm;
             let contacts =
-                contacts(&frame, &nodes, &Passing::new(mesh, sweep, travel_mm), travel_mm, radius_mm);
+                contacts(&frame, &nodes, &MovingObject::new(mesh, sweep, travel_mm), travel_mm, radius_mm);
             let moment = Vector3::from(frame.base_moment_nm.unwrap_or([f64::NAN; 3])) * 1e3;
             let earlier = run.samples.last().map_or(&[][..], |s: &Sample| &s.contacts);
             let event = event(earlier, &contacts, snapped, step_mm);
@@ -266,7 +266,7 @@ fn nodes_mm(frame: &Frame, travel_mm: f64) -> Vec<Vector3<f64>> {
 fn contacts(
     frame: &Frame,
     nodes: &[Vector3<f64>],
-    body: &Passing<'_>,
+    body: &MovingObject<'_>,
     travel_mm: f64,
     radius_mm: f64,
 ) -> Vec<Contact> {

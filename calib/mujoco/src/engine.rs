@@ -6,7 +6,7 @@
 pub mod protocol;
 
 use crate::TwinError;
-use protocol::{Frame, Loaded, Reply, Request};
+use protocol::{Frame, LoadedModel, Reply, Request};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::PathBuf;
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -99,9 +99,9 @@ impl MujocoEngine {
     ///
     /// # Errors
     /// Where MuJoCo refuses it, or the cable plugin is missing.
-    pub fn load(&mut self, xml: &str, cable_plugin: bool) -> Result<Loaded, TwinError> {
+    pub fn load(&mut self, xml: &str, cable_plugin: bool) -> Result<LoadedModel, TwinError> {
         match self.ask(&Request::Load { xml: xml.to_owned(), cable_plugin })? {
-            Reply::Loaded(loaded) => Ok(loaded),
+            Reply::LoadedModel(loaded) => Ok(loaded),
             other => Err(unexpected("a loaded model", &other)),
         }
     }

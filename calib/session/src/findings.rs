@@ -74,17 +74,17 @@ impl Findings {
 }
 
 /// A quantity and the effects that need it.
-struct Needed {
+struct RequiredQuantity {
     name: &'static str,
     present: bool,
     hides: &'static str,
 }
 
-fn needed(name: &'static str, present: bool, hides: &'static str) -> Needed {
-    Needed { name, present, hides }
+fn needed(name: &'static str, present: bool, hides: &'static str) -> RequiredQuantity {
+    RequiredQuantity { name, present, hides }
 }
 
-fn whisker_columns(data: &WhiskerData) -> Vec<Needed> {
+fn whisker_columns(data: &WhiskerData) -> Vec<RequiredQuantity> {
     let rows = &data.rows;
     let unloading = rows.iter().any(|r| r.direction == Some(-1.0));
     let moving = rows.iter().any(|r| r.speed_mm_s.is_some_and(|v| v > 0.0));
@@ -105,7 +105,7 @@ fn whisker_columns(data: &WhiskerData) -> Vec<Needed> {
     ]
 }
 
-fn transducer_columns(data: &TransducerData) -> Vec<Needed> {
+fn transducer_columns(data: &TransducerData) -> Vec<RequiredQuantity> {
     let rows = &data.rows;
     vec![
         needed("t_s", rows.iter().any(|r| r.t_s.is_some()), "drift, creep, lag and step in time"),
@@ -115,7 +115,7 @@ fn transducer_columns(data: &TransducerData) -> Vec<Needed> {
     ]
 }
 
-fn axis_columns(data: &AxisData) -> Vec<Needed> {
+fn axis_columns(data: &AxisData) -> Vec<RequiredQuantity> {
     let rows = &data.rows;
     vec![
         needed("t_s", rows.iter().any(|r| r.t_s.is_some()), "drift, creep, lag and step in time"),

@@ -1,7 +1,7 @@
 //! Rows of a whisker's table that are no readings: an instrument's overflow value, or a copy of an earlier row.
 
 use crate::error::{InputError, SessionError};
-use crate::overflow::{Use, codes, refuse_most};
+use crate::overflow::{ColumnSource, codes, refuse_most};
 use crate::row::Row;
 use crate::table::{Column, Table};
 use crate::warning::{SessionWarning, WarningKind};
@@ -40,7 +40,8 @@ impl LeftOut {
                 values.extend(row.number(Some(*column))?);
             }
         }
-        let of = |(column, values): (Column, Vec<f64>)| (column, codes(&values, Use::Reading, |_| None));
+        let of =
+            |(column, values): (Column, Vec<f64>)| (column, codes(&values, ColumnSource::Reading, |_| None));
         let codes = columns.into_iter().zip(values).map(of).collect();
         Ok(Self { codes, overflowed: BTreeMap::new(), seen: HashMap::new(), repeats: Vec::new() })
     }

@@ -30,14 +30,14 @@ fn usual(value: f64) -> bool {
 
 /// How a column is judged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Use {
+pub(crate) enum ColumnSource {
     /// Set by the operator: progressions such as 1, 2, 4, ..., 4096 are usual.
     Setting,
     /// Read from an instrument.
     Reading,
 }
 
-impl Use {
+impl ColumnSource {
     /// Distance from the other values in their range, from which on a usual code is one.
     fn distance(self) -> f64 {
         match self {
@@ -49,7 +49,7 @@ impl Use {
 }
 
 /// The codes among `values`; `expected` gives what the other columns of a code's rows let expect, so that a value in line with them stays.
-pub(crate) fn codes(values: &[f64], kind: Use, expected: impl Fn(f64) -> Option<f64>) -> Vec<f64> {
+pub(crate) fn codes(values: &[f64], kind: ColumnSource, expected: impl Fn(f64) -> Option<f64>) -> Vec<f64> {
     let mut count: BTreeMap<u64, usize> = BTreeMap::new();
     for v in values.iter().filter(|v| usual(**v)) {
         *count.entry(v.to_bits()).or_default() += 1;
@@ -57,11 +57,11 @@ pub(crate) fn codes(values: &[f64], kind: Use, expected: impl Fn(f64) -> Option<
     let is_code = |code: f64, rows: usize| {
         // Several codes stand in one column of readings; a setting is judged beside all other settings.
         let beside = |v: &f64| match kind {
-            Use::Reading => !usual(*v),
-            Use::Setting => *v != code && v.abs() < HUGE,
+            ColumnSource::Reading => !usual(*v),
+            ColumnSource::Setting => *v != code && v.abs() < HUGE,
         };
         let others: Vec<f64> = values.iter().copied().filter(beside).collect();
-        if kind == Use::Reading && code.abs() >= HUGE {
+        if kind == ColumnSource::Reading && code.abs() >= HUGE {
             return true;
         }
         if others.len() < MIN_OTHERS {
@@ -124,7 +124,7 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 mod tests {
     use super::*;
 
-    fn found(values: &[f64], kind: Use) -> Vec<f64> {
+    fn found(values: &[f64], kind: ColumnSource) -> Vec<f64> {
         codes(values, kind, |_| None)
     }
 
@@ -135,23 +135,24 @@ mod tests {
             [9.9e37, -9.9e37, 1e38, 3.4028234e38, 999_999.0, 9999.0, -127.0, 32767.0, 8_388_607.0, 99.99]
         {
             let with: Vec<f64> = volts.iter().copied().chain([code]).collect();
-            assert_eq!(found(&with, Use::Reading), [code]);
+            assert_eq!(found(&with, ColumnSource::Reading), [code]);
         }
         // In range, or no further out than the others are wide: a reading.
-        assert!(found(&[-180.0, -127.0, -60.0, 20.0, 50.0], Use::Reading).is_empty());
-        assert!(found(&[2e5, 4e5, 6e5, 8e5, 999_999.0, 1.2e6], Use::Reading).is_empty());
-        assert!(found(&[1000.0, 9000.0, 20000.0, 30000.0, 32767.0], Use::Reading).is_empty());
+        assert!(found(&[-180.0, -127.0, -60.0, 20.0, 50.0], ColumnSource::Reading).is_empty());
+        assert!(found(&[2e5, 4e5, 6e5, 8e5, 999_999.0, 1.2e6], ColumnSource::Reading).is_empty());
+        assert!(found(&[1000.0, 9000.0, 20000.0, 30000.0, 32767.0], ColumnSource::Reading).is_empty());
         // An unusual number, however far out, is a matter of the noise.
-        assert!(found(&[0.1, 0.2, 0.3, 0.4, 5000.0], Use::Reading).is_empty());
+        assert!(found(&[0.1, 0.2, 0.3, 0.4, 5000.0], ColumnSource::Reading).is_empty());
         // Loads in powers of two are set so.
         let powers: Vec<f64> = (0..13).map(|k| 2f64.powi(k)).collect();
-        assert!(found(&powers, Use::Setting).is_empty());
-        assert_eq!(found(&[0.0, 1.0, 2.0, 3.0, 9.9e37], Use::Setting), [9.9e37]);
+        assert!(found(&powers, ColumnSource::Setting).is_empty());
+        assert_eq!(found(&[0.0, 1.0, 2.0, 3.0, 9.9e37], ColumnSource::Setting), [9.9e37]);
         // A huge number is none whatever stands beside it.
-        assert_eq!(found(&[0.1, 9.9e37], Use::Reading), [9.9e37]);
+        assert_eq!(found(&[0.1, 9.9e37], ColumnSource::Reading), [9.9e37]);
         // Half of a column and more is its content.
         assert!(
-            found(&[0.1, 0.2, 0.3, 0.4, 9999.0, 9999.0, 9999.0, 9999.0, 9999.0], Use::Reading).is_empty()
+            found(&[0.1, 0.2, 0.3, 0.4, 9999.0, 9999.0, 9999.0, 9999.0, 9999.0], ColumnSource::Reading)
+                .is_empty()
         );
     }
 
@@ -160,7 +161,7 @@ mod tests {
         let rows: Vec<(f64, f64)> = (0..8).map(|k| (f64::from(k), 10.0 * f64::from(k))).collect();
         assert_eq!(line_at(&rows, 99.9), Some(999.0));
         let values: Vec<f64> = rows.iter().map(|r| r.1).chain([999.0]).collect();
-        assert!(codes(&values, Use::Reading, |_| line_at(&rows, 99.9)).is_empty());
-        assert_eq!(codes(&values, Use::Reading, |_| line_at(&rows, 4.0)), [999.0]);
+        assert!(codes(&values, ColumnSource::Reading, |_| line_at(&rows, 99.9)).is_empty());
+        assert_eq!(codes(&values, ColumnSource::Reading, |_| line_at(&rows, 4.0)), [999.0]);
     }
 }

@@ -3,7 +3,7 @@
 
 use crate::copies::{self, copies};
 use crate::error::InputError;
-use crate::overflow::{Use, codes, line_at, refuse_most};
+use crate::overflow::{ColumnSource, codes, line_at, refuse_most};
 use crate::sequence::{Step, contradicted_direction, standing_clock};
 use crate::warning::{SessionWarning, WarningKind};
 use wcal_core::Role;
@@ -91,7 +91,7 @@ fn overflows(names: &Names<'_>, views: &[View], beside: &[View]) -> Vec<Overflow
     let all = || views.iter().chain(beside);
     let pairs: Vec<(f64, f64)> = all().map(|v| (v.setting, v.reading)).collect();
     let mut out = Vec::new();
-    let mut add = |column: &str, kind: Use, value: &dyn Fn(&View) -> Option<f64>| {
+    let mut add = |column: &str, kind: ColumnSource, value: &dyn Fn(&View) -> Option<f64>| {
         let values: Vec<f64> = all().filter_map(value).collect();
         // Of a reading: what its setting lets expect, where it is in line with that best.
         let expected = |code: f64| -> Option<f64> {
@@ -106,11 +106,11 @@ fn overflows(names: &Names<'_>, views: &[View], beside: &[View]) -> Vec<Overflow
             }
         }
     };
-    add(names.setting, Use::Setting, &|v| Some(v.setting));
-    add(names.reading, Use::Reading, &|v| Some(v.reading));
-    add("temperature_degc", Use::Reading, &|v| v.temperature_degc);
+    add(names.setting, ColumnSource::Setting, &|v| Some(v.setting));
+    add(names.reading, ColumnSource::Reading, &|v| Some(v.reading));
+    add("temperature_degc", ColumnSource::Reading, &|v| v.temperature_degc);
     for (k, name) in names.more.iter().enumerate() {
-        add(name, Use::Reading, &|v| v.more.get(k).copied());
+        add(name, ColumnSource::Reading, &|v| v.more.get(k).copied());
     }
     out
 }

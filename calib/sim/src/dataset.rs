@@ -56,7 +56,7 @@ pub struct Total {
 
 /// A shard that is not there or cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Missing {
+pub struct MissingShard {
     /// Its name, without endings.
     pub name: String,
     /// Number among the shards surveyed, from 0: it belongs to share `number % n` of `n`.
@@ -71,7 +71,7 @@ pub struct Survey {
     /// By object, of the shards that are whole.
     pub totals: BTreeMap<String, Total>,
     /// The others.
-    pub missing: Vec<Missing>,
+    pub missing: Vec<MissingShard>,
     /// Shards that there should be.
     pub shards: usize,
 }
@@ -166,7 +166,7 @@ impl Dataset {
                 Ok(manifest) => {
                     survey.totals.entry(self.objects[object].name.clone()).or_default().add(&manifest, true);
                 }
-                Err(e) => survey.missing.push(Missing { name, number, why: e.to_string() }),
+                Err(e) => survey.missing.push(MissingShard { name, number, why: e.to_string() }),
             }
         }
         Ok(survey)

@@ -23,7 +23,7 @@ pub mod stl;
 pub mod sweep;
 mod test_objects;
 
-pub use dataset::{Dataset, Missing, Survey, Total};
+pub use dataset::{Dataset, MissingShard, Survey, Total};
 pub use engine::{RodSweeps, SweepEngine};
 pub use error::SimError;
 pub use mesh::Mesh;

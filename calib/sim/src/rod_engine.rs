@@ -9,7 +9,7 @@
 //! which neither came to rest are marked.
 
 use crate::physics::{FluidLoads, node_velocities, with_physics};
-use crate::sweep::{Event, Passing, Sample, Sweep, SweepPlan, Verdict};
+use crate::sweep::{Event, MovingObject, Sample, Sweep, SweepPlan, Verdict};
 use crate::{Mesh, SimError};
 use nalgebra::Vector3;
 use wcal_core::observation::WhiskerSpec;
@@ -218,8 +218,8 @@ struct SweepState<'a> {
 }
 
 impl SweepState<'_> {
-    fn at(&self, travel_mm: f64) -> Passing<'_> {
-        Passing::new(self.mesh, self.sweep, travel_mm)
+    fn at(&self, travel_mm: f64) -> MovingObject<'_> {
+        MovingObject::new(self.mesh, self.sweep, travel_mm)
     }
 
     /// Least gap of the wire's nodes where they are, mm; infinite where nothing is near.

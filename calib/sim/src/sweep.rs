@@ -256,7 +256,7 @@ fn accelerations(rng: &mut ChaCha8Rng, plan: &SweepPlan, mut speed: f64) -> Vec<
 
 /// An object on its way through the base frame.
 #[derive(Debug, Clone)]
-pub struct Passing<'a> {
+pub struct MovingObject<'a> {
     mesh: &'a Mesh,
     sweep: &'a Sweep,
     travel_mm: f64,
@@ -267,7 +267,7 @@ pub struct Passing<'a> {
 /// Rounding of a distance, mm.
 const ROUNDING_MM: f64 = 1e-6;
 
-impl<'a> Passing<'a> {
+impl<'a> MovingObject<'a> {
     /// The object of a sweep after a way of the base, mm.
     #[must_use]
     pub fn new(mesh: &'a Mesh, sweep: &'a Sweep, travel_mm: f64) -> Self {
@@ -275,7 +275,7 @@ impl<'a> Passing<'a> {
     }
 }
 
-impl Surface for Passing<'_> {
+impl Surface for MovingObject<'_> {
     fn faceted(&self) -> bool {
         true
     }

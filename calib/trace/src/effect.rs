@@ -30,7 +30,7 @@ pub struct Parameter {
 
 /// What a law needs of a session beyond the required columns: the one place that says so.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Need {
+pub enum LawRequirement {
     /// Time stamps.
     Time,
     /// Time stamps, or rows in the order in which they were taken.
@@ -73,13 +73,13 @@ pub struct EffectModel {
     /// Largest part that those columns may have in what a channel spans; none where the law has no such limit.
     pub largest_share: Option<f64>,
     /// What it needs of the session.
-    pub needs: Vec<Need>,
+    pub needs: Vec<LawRequirement>,
 }
 
 impl EffectModel {
     /// The same law that needs something of the session.
     #[must_use]
-    pub fn needing(mut self, needs: &[Need]) -> Self {
+    pub fn needing(mut self, needs: &[LawRequirement]) -> Self {
         self.needs = needs.to_vec();
         self
     }
@@ -152,7 +152,7 @@ pub trait Effect: Send + Sync {
         self.laws().into_iter().chain(self.refinements()).enumerate().find(|(_, l)| l.name == name)
     }
     /// What the plainest law needs of a session.
-    fn needs(&self) -> Vec<Need> {
+    fn needs(&self) -> Vec<LawRequirement> {
         self.laws().into_iter().next().map_or_else(Vec::new, |l| l.needs)
     }
     /// Columns that help to find it without being needed, for people.

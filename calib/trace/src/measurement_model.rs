@@ -34,7 +34,7 @@ pub trait MeasurementModel: Sync {
     /// What a second witness leaves under `terms`: measured less predicted of observations whose covariance is known and that have no
     /// free coefficients (what cameras saw, beside the wavelengths), whitened to [`MeasurementModel::witness_variance`]. Values of
     /// readings that do not count are zero; empty where there is no second witness, none where the model has no solution.
-    fn witness(&self, _terms: &[EffectTerm], _weights: &Weights) -> Option<DVector<f64>> {
+    fn auxiliary_residual(&self, _terms: &[EffectTerm], _weights: &Weights) -> Option<DVector<f64>> {
         Some(DVector::zeros(0))
     }
     /// Reading to which each value of the second witness belongs.

@@ -108,7 +108,7 @@ pub enum SplitBy {
 
 /// Use of a sweep in a random split.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Use {
+pub enum SweepUse {
     /// Trained on.
     Training,
     /// Early stop and spread.
@@ -121,7 +121,7 @@ pub enum Use {
 const TEST: f64 = 0.2;
 const HELD_OUT: f64 = 0.1;
 
-impl Use {
+impl SweepUse {
     /// Draws it for a sweep over an object.
     #[must_use]
     pub fn draw(object: &str, sweep: u64, seed: u64) -> Self {
@@ -147,7 +147,7 @@ impl Card {
     pub fn kept_back(&self, object: &str, sweep: u64) -> bool {
         match self.split {
             SplitBy::Objects => sweep >= self.sweeps_trained,
-            SplitBy::Sweeps => Use::draw(object, sweep, self.training.seed) == Use::Test,
+            SplitBy::Sweeps => SweepUse::draw(object, sweep, self.training.seed) == SweepUse::Test,
         }
     }
 }

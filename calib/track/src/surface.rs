@@ -19,7 +19,7 @@ pub use mesh::SurfaceMesh;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use wcal_map::{Conditioned, Kernel};
+use wcal_map::{ConditionedProcess, Kernel};
 
 /// A contact.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,7 +78,7 @@ pub struct ImplicitSurface {
     settings: SurfaceSettings,
     contacts: Vec<CloudPoint>,
     places: Vec<Vector3<f64>>,
-    process: Conditioned,
+    process: ConditionedProcess,
 }
 
 impl ImplicitSurface {
@@ -107,7 +107,7 @@ impl ImplicitSurface {
             let noise = if i == j { variances[i] } else { 0.0 };
             kernel(&settings, (places[i] - places[j]).norm()) + noise
         });
-        let process = Conditioned::new(gram, DVector::from_vec(values)).ok()?;
+        let process = ConditionedProcess::new(gram, DVector::from_vec(values)).ok()?;
         Some(Self { settings, contacts, places, process })
     }
 

@@ -5,7 +5,7 @@ use crate::error::TrackError;
 use crate::evaluate::{held_out_regions, regions};
 use crate::filter::{BayesSettings, FilterBank};
 use crate::inverse::StaticInverse;
-use crate::model_file::{Card, FORMAT, Split, SplitBy, Use, network_grid, preset, read_card, save};
+use crate::model_file::{Card, FORMAT, Split, SplitBy, SweepUse, network_grid, preset, read_card, save};
 use crate::network::NetworkConfig;
 use crate::score::{EstimateError, calibrating_factor};
 use crate::sd_factors::SdFactors;
@@ -94,9 +94,9 @@ pub fn train_model(
             objects.training.append(&mut objects.held_out);
             objects.training.sort_unstable();
             all_series.append(&mut held_out);
-            let used = |c: &SweepSeries| Use::draw(&c.object, c.sweep, request.settings.seed);
-            held_out = all_series.iter().filter(|c| used(c) == Use::HeldOut).cloned().collect();
-            all_series.retain(|c| used(c) == Use::Training);
+            let used = |c: &SweepSeries| SweepUse::draw(&c.object, c.sweep, request.settings.seed);
+            held_out = all_series.iter().filter(|c| used(c) == SweepUse::HeldOut).cloned().collect();
+            all_series.retain(|c| used(c) == SweepUse::Training);
         }
     }
     for folder in request.additional {

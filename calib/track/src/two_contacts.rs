@@ -91,7 +91,7 @@ pub fn network_evidence<'a>(
 
 /// Detection of two contacts given the truth of the sample before.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct GivenPreviousTruth {
+pub struct OneStepDetection {
     /// By the count before alone: as many as before.
     pub f1_as_before: f64,
     /// By that and by how well one contact explains the path from the true place before.
@@ -106,7 +106,7 @@ const EVIDENCE_BINS: usize = 20;
 pub fn two_contacts_given_previous(
     chosen_on: &[ContactEvidence],
     judged_on: &[ContactEvidence],
-) -> Option<GivenPreviousTruth> {
+) -> Option<OneStepDetection> {
     if chosen_on.is_empty() || judged_on.is_empty() {
         return None;
     }
@@ -132,7 +132,7 @@ pub fn two_contacts_given_previous(
     let limit = best_limit(chosen_on.iter().map(|w| (-share(w), w.two)).collect())?;
     let pairs: Vec<(bool, bool)> = judged_on.iter().map(|w| (-share(w) < limit, w.two)).collect();
     let before: Vec<(bool, bool)> = judged_on.iter().map(|w| (w.two_before, w.two)).collect();
-    Some(GivenPreviousTruth { f1_as_before: detection(&before).f1, f1: detection(&pairs).f1 })
+    Some(OneStepDetection { f1_as_before: detection(&before).f1, f1: detection(&pairs).f1 })
 }
 
 /// Detection of two contacts.

@@ -7,8 +7,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use wcal_plant::PlantError;
-use wcal_plant::adversarial::Trick;
-use wcal_plant::case::{Case, Looked, Make, Request, Want};
+use wcal_plant::adversarial::Tampering;
+use wcal_plant::case::{Case, CaseKind, Make, PictureSetup, Request};
 use wcal_plant::effects::Kind;
 use wcal_plant::layout::Design;
 use wcal_plant::noise::Noise;
@@ -22,7 +22,7 @@ pub enum Order {
     /// A whisker's session with noise of a kind on a wire of a make.
     Whisker(Request, Noise, Make),
     /// A paper-like session of a whisker that cameras look at, or the same without them.
-    Looked(Request, Looked),
+    PictureSetup(Request, PictureSetup),
     /// A transducer's or an axis's session.
     Scalar(ScalarRequest),
 }
@@ -37,7 +37,7 @@ impl Order {
             Self::Whisker(request, noise, make) => {
                 Drawn::Whisker(Box::new(draw_under(request, *noise, *make)?))
             }
-            Self::Looked(request, looked) => Drawn::Whisker(Box::new(draw_looked(request, *looked)?)),
+            Self::PictureSetup(request, looked) => Drawn::Whisker(Box::new(draw_looked(request, *looked)?)),
             Self::Scalar(request) => Drawn::Scalar(scalar::draw(request)),
         })
     }
@@ -151,27 +151,29 @@ pub fn orders(mix: &str, draws: usize, seed: u64, only: Option<&str>, rivals: bo
                 "noise-single" if matches!(noise, Noise::OneGross | Noise::TwoGross) => {
                     let of: Vec<Kind> =
                         catalogue.iter().copied().filter(|k| *k != Kind::SlipOutliers).collect();
-                    turn(&of).map_or(Want::Null, |k| Want::Effects(vec![k]))
+                    turn(&of).map_or(CaseKind::Null, |k| CaseKind::Effects(vec![k]))
                 }
-                "single" | "noise-single" => turn(&catalogue).map_or(Want::Null, |k| Want::Effects(vec![k])),
+                "single" | "noise-single" => {
+                    turn(&catalogue).map_or(CaseKind::Null, |k| CaseKind::Effects(vec![k]))
+                }
                 "pair" => pair(&catalogue, &mut rng),
                 "confounded" => {
                     design = Design::Paper;
                     let of: Vec<Kind> = catalogue.iter().copied().filter(|k| k.observable(false)).collect();
                     pair(&of, &mut rng)
                 }
-                "unknown" => turn(&unknown).map_or(Want::Null, |k| Want::Effects(vec![k])),
+                "unknown" => turn(&unknown).map_or(CaseKind::Null, |k| CaseKind::Effects(vec![k])),
                 "paper" => {
                     design = Design::Paper;
                     let of: Vec<Kind> = catalogue.iter().copied().filter(|k| k.observable(false)).collect();
                     if rng.random_bool(0.3) {
-                        Want::Null
+                        CaseKind::Null
                     } else {
-                        turn(&of).map_or(Want::Null, |k| Want::Effects(vec![k]))
+                        turn(&of).map_or(CaseKind::Null, |k| CaseKind::Effects(vec![k]))
                     }
                 }
-                "adversarial" => Want::Adversarial(Trick::ALL[(i / 15 + i) % Trick::ALL.len()]),
-                _ => Want::Null,
+                "adversarial" => CaseKind::Adversarial(Tampering::ALL[(i / 15 + i) % Tampering::ALL.len()]),
+                _ => CaseKind::Null,
             };
             let target_sigma = targets[rng.random_range(0..targets.len())];
             let seed = seed_of(seed, i);
@@ -191,7 +193,8 @@ fn looked_order(mix: &str, place: usize, of: &[Kind], seed: u64) -> Order {
         "pictures-null" => "null",
         _ => LOOKED_PARTS[place % LOOKED_PARTS.len()],
     };
-    let mut looked = Looked { pictures: mix != "without-pictures", fault: Fault::None, straight_off_mm: 0.0 };
+    let mut looked =
+        PictureSetup { pictures: mix != "without-pictures", fault: Fault::None, straight_off_mm: 0.0 };
     let sign = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
     let mut direction = |size: f64| {
         let v: [f64; 3] = [0; 3].map(|_| rng.sample::<f64, _>(StandardNormal));
@@ -210,14 +213,14 @@ fn looked_order(mix: &str, place: usize, of: &[Kind], seed: u64) -> Order {
         _ => {}
     }
     let want = match part {
-        "single" => {
-            of.get((place * 7 + place / 8) % of.len().max(1)).map_or(Want::Null, |k| Want::Effects(vec![*k]))
-        }
+        "single" => of
+            .get((place * 7 + place / 8) % of.len().max(1))
+            .map_or(CaseKind::Null, |k| CaseKind::Effects(vec![*k])),
         "pair" => pair(of, &mut rng),
-        _ => Want::Null,
+        _ => CaseKind::Null,
     };
     let target_sigma = [8.0, 12.0, 20.0][rng.random_range(0..3_usize)];
-    Order::Looked(Request { seed, design: Design::Paper, want, target_sigma, rivals: false }, looked)
+    Order::PictureSetup(Request { seed, design: Design::Paper, want, target_sigma, rivals: false }, looked)
 }
 
 /// Parts of the mix `all`, in turn.
@@ -265,13 +268,13 @@ fn scalar_order(single: bool, turn: usize, seed: u64, rng: &mut impl Rng) -> Sca
 }
 
 /// Two effects of different names.
-fn pair(catalogue: &[Kind], rng: &mut impl Rng) -> Want {
+fn pair(catalogue: &[Kind], rng: &mut impl Rng) -> CaseKind {
     for _ in 0..100 {
         let mut one = || catalogue.get(rng.random_range(0..catalogue.len().max(1))).copied();
-        let (Some(a), Some(b)) = (one(), one()) else { return Want::Null };
+        let (Some(a), Some(b)) = (one(), one()) else { return CaseKind::Null };
         if a.name().0 != b.name().0 && a != Kind::StageScale && b != Kind::StageScale {
-            return Want::Effects(vec![a, b]);
+            return CaseKind::Effects(vec![a, b]);
         }
     }
-    Want::Null
+    CaseKind::Null
 }

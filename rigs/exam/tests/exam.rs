@@ -8,11 +8,11 @@ use wcal_exam::{
 };
 use wcal_plant::scalar;
 use wcal_plant::{
-    Case, Design, Kind, Make, Noise, Request, ScalarEffect, ScalarNoise, ScalarRequest, Want, draw,
+    Case, CaseKind, Design, Kind, Make, Noise, Request, ScalarEffect, ScalarNoise, ScalarRequest, draw,
     draw_under,
 };
 
-fn case(want: Want) -> Case {
+fn case(want: CaseKind) -> Case {
     draw(&Request { seed: 21, design: Design::Paper, want, target_sigma: 12.0, rivals: false }).unwrap()
 }
 
@@ -23,12 +23,12 @@ fn mark(case: &Case, verdict: &str, effects: Value, alternatives: Value) -> Mark
 
 #[test]
 fn marks_follow_the_practice_scorer() {
-    let null = case(Want::Null);
+    let null = case(CaseKind::Null);
     assert_eq!(mark(&null, "adequate", json!([]), json!([])), Mark::Right);
     assert_eq!(mark(&null, "effect", json!([{"id": "creep"}]), json!([])), Mark::False);
     assert_eq!(mark(&null, "unknown-effect", json!([]), json!([])), Mark::False);
 
-    let single = case(Want::Effects(vec![Kind::DriftLinear]));
+    let single = case(CaseKind::Effects(vec![Kind::DriftLinear]));
     let drift = json!([{"id": "zero-drift", "class": ["zero-drift"]}]);
     let in_class = json!([{"id": "creep", "class": ["creep", "zero-drift"]}]);
     assert_eq!(mark(&single, "effect", drift.clone(), json!([])), Mark::Right);
@@ -44,7 +44,7 @@ fn marks_follow_the_practice_scorer() {
     assert_eq!(mark(&single, "unknown-effect", json!([]), json!([])), Mark::Unknown);
     assert_eq!(mark(&single, "refused", json!([]), json!([])), Mark::Refused);
 
-    let unknown = case(Want::Effects(vec![Kind::UnknownStepTime]));
+    let unknown = case(CaseKind::Effects(vec![Kind::UnknownStepTime]));
     assert_eq!(mark(&unknown, "unknown-effect", json!([]), json!([])), Mark::Right);
     assert_eq!(mark(&unknown, "effect", drift, json!([])), Mark::Wrong);
     let document = json!({"verdict": "unknown-effect", "unknown": {"driver": "t_s"}});
@@ -55,7 +55,7 @@ fn marks_follow_the_practice_scorer() {
 
 #[test]
 fn held_out_errors_are_those_put_in() {
-    let case = case(Want::Null);
+    let case = case(CaseKind::Null);
     let predictions = |off: f64, sd: f64, drop: usize| {
         let mut text = String::from(
             "source,point,role,moment_1_nmm_before,moment_2_nmm_before,moment_1_nmm_after,moment_2_nmm_after,moment_1_sd_nmm,moment_2_sd_nmm\n",
@@ -113,15 +113,17 @@ fn exam_runs_a_program_and_sums_up() {
     std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
     let examiner =
         Examiner { program, folder: folder.path().join("exam"), jobs: 2, timeout_s: 2.0, follow_up: false };
-    let orders: Vec<Order> = [Want::Null, Want::Null, Want::Null, Want::Effects(vec![Kind::DriftLinear])]
-        .into_iter()
-        .enumerate()
-        .map(|(i, want)| {
-            let seed = i as u64;
-            let request = Request { seed, design: Design::Paper, want, target_sigma: 12.0, rivals: false };
-            Order::Whisker(request, Noise::Gaussian, Make::Usual)
-        })
-        .collect();
+    let orders: Vec<Order> =
+        [CaseKind::Null, CaseKind::Null, CaseKind::Null, CaseKind::Effects(vec![Kind::DriftLinear])]
+            .into_iter()
+            .enumerate()
+            .map(|(i, want)| {
+                let seed = i as u64;
+                let request =
+                    Request { seed, design: Design::Paper, want, target_sigma: 12.0, rivals: false };
+                Order::Whisker(request, Noise::Gaussian, Make::Usual)
+            })
+            .collect();
     let outcomes: Vec<_> = examiner.examine(&orders, &|_| {}).into_iter().map(Result::unwrap).collect();
     let marks: Vec<Mark> = outcomes.iter().map(|o| o.kind).collect();
     assert_eq!(marks, [Mark::Right, Mark::Crash, Mark::Crash, Mark::Missed]);
@@ -138,7 +140,7 @@ fn exam_runs_a_program_and_sums_up() {
 #[test]
 fn a_goal_is_met_by_its_bound_and_not_by_one_of_one() {
     let case = draw_under(
-        &Request { seed: 1, design: Design::Rich, want: Want::Null, target_sigma: 12.0, rivals: false },
+        &Request { seed: 1, design: Design::Rich, want: CaseKind::Null, target_sigma: 12.0, rivals: false },
         Noise::Gaussian,
         Make::Usual,
     )
@@ -174,7 +176,7 @@ fn a_goal_is_met_by_its_bound_and_not_by_one_of_one() {
 fn answers_on_noise_are_scored_by_what_was_put_in() {
     let noisy = |noise: Noise, seed: u64| {
         let design = if noise == Noise::Pose { Design::Repeats } else { Design::Paper };
-        let request = Request { seed, design, want: Want::Null, target_sigma: 12.0, rivals: false };
+        let request = Request { seed, design, want: CaseKind::Null, target_sigma: 12.0, rivals: false };
         draw_under(&request, noise, Make::Usual).unwrap()
     };
     let judge = |case: &Case, document: Value| score("c", case, &document, "", 0.0, Some(0));
@@ -255,8 +257,13 @@ fn outliers_named() -> Value {
 
 #[test]
 fn held_out_scores_leave_gross_readings_out() {
-    let request =
-        |seed| Request { seed, design: Design::Paper, want: Want::Null, target_sigma: 12.0, rivals: false };
+    let request = |seed| Request {
+        seed,
+        design: Design::Paper,
+        want: CaseKind::Null,
+        target_sigma: 12.0,
+        rivals: false,
+    };
     let held_out = |c: &Case| {
         let off = &c.truth.flagged[0];
         c.readings.iter().any(|r| {

@@ -4,7 +4,7 @@
 
 use wcal_exam::orders::{Drawn, MIXES};
 use wcal_exam::{Order, orders};
-use wcal_plant::{Design, Noise, Request, ScalarNoise, ScalarRequest, Want};
+use wcal_plant::{CaseKind, Design, Noise, Request, ScalarNoise, ScalarRequest};
 
 #[test]
 fn orders_cover_the_catalogue_and_repeat() {
@@ -13,7 +13,7 @@ fn orders_cover_the_catalogue_and_repeat() {
     let mut names: Vec<&str> = all
         .iter()
         .filter_map(|o| match o {
-            Order::Whisker(Request { want: Want::Effects(k), .. }, ..) => Some(k[0].name().0),
+            Order::Whisker(Request { want: CaseKind::Effects(k), .. }, ..) => Some(k[0].name().0),
             _ => None,
         })
         .collect();
@@ -23,7 +23,7 @@ fn orders_cover_the_catalogue_and_repeat() {
     let only = orders("single", 5, 4, Some("creep"), false);
     assert!(only.iter().all(|o| matches!(
         o,
-        Order::Whisker(Request { want: Want::Effects(k), .. }, ..) if k.len() == 1 && k[0].name().0 == "creep"
+        Order::Whisker(Request { want: CaseKind::Effects(k), .. }, ..) if k.len() == 1 && k[0].name().0 == "creep"
     )));
 }
 
@@ -34,14 +34,14 @@ fn mixes_go_through_all_kinds_layouts_and_wires() {
     let mut wires = std::collections::BTreeSet::new();
     for order in orders("noise-null", 66, 5, None, false) {
         let Order::Whisker(request, noise, make) = order else { panic!("a whisker's order") };
-        assert_eq!(request.want, Want::Null);
+        assert_eq!(request.want, CaseKind::Null);
         noises.insert(noise.name());
         designs.insert(format!("{:?}", request.design));
         wires.insert(format!("{make:?}"));
     }
     assert_eq!((noises.len(), designs.len(), wires.len()), (11, 5, 2));
     for order in orders("noise-single", 66, 5, None, false) {
-        let Order::Whisker(Request { want: Want::Effects(kinds), design, .. }, noise, _) = order else {
+        let Order::Whisker(Request { want: CaseKind::Effects(kinds), design, .. }, noise, _) = order else {
             panic!("an effect")
         };
         assert!(kinds.len() == 1 && !kinds[0].is_unknown() && design != Design::Paper);
@@ -53,7 +53,7 @@ fn mixes_go_through_all_kinds_layouts_and_wires() {
             .into_iter()
             .map(|o| match o {
                 Order::Scalar(request) => request,
-                Order::Whisker(..) | Order::Looked(..) => panic!("a line's order"),
+                Order::Whisker(..) | Order::PictureSetup(..) => panic!("a line's order"),
             })
             .collect()
     };

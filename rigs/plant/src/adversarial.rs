@@ -6,7 +6,7 @@ use crate::case::Case;
 
 /// One kind of tampering.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Trick {
+pub enum Tampering {
     /// Replicate 2 is a copy of replicate 1, values and all.
     FakeReplicates,
     /// Two readings of one trajectory have changed places.
@@ -27,7 +27,7 @@ pub enum Trick {
     FrozenReference,
 }
 
-impl Trick {
+impl Tampering {
     /// Every trick.
     pub const ALL: [Self; 9] = [
         Self::FakeReplicates,
@@ -75,14 +75,14 @@ impl Trick {
 }
 
 /// Applies a trick to a drawn (effect-free) session.
-pub fn tamper(case: &mut Case, trick: Trick, rng: &mut impl Rng) {
+pub fn tamper(case: &mut Case, trick: Tampering, rng: &mut impl Rng) {
     case.truth.effects.insert("adversarial".into(), serde_json::json!(trick.name()));
     let points: Vec<usize> =
         (0..case.readings.len()).filter(|&i| !case.readings[i].planned.holdout).collect();
     let n = points.len();
     let rows = &mut case.readings;
     match trick {
-        Trick::FakeReplicates => {
+        Tampering::FakeReplicates => {
             // The second pass of 11 settled rows follows the first after one rest.
             for i in 0..n {
                 let p = &rows[i].planned;
@@ -99,7 +99,7 @@ pub fn tamper(case: &mut Case, trick: Trick, rng: &mut impl Rng) {
                 }
             }
         }
-        Trick::SwappedPoses => {
+        Tampering::SwappedPoses => {
             let loaded: Vec<usize> = points.into_iter().filter(|&i| rows[i].planned.role != "rest").collect();
             let a = loaded[rng.random_range(0..loaded.len())];
             let b = *loaded
@@ -113,28 +113,30 @@ pub fn tamper(case: &mut Case, trick: Trick, rng: &mut impl Rng) {
             let (first, second) = (rows[a].fbg_nm, rows[b].fbg_nm);
             (rows[a].fbg_nm, rows[b].fbg_nm) = (second, first);
         }
-        Trick::SignError => {
+        Tampering::SignError => {
             let from = rng.random_range(0..n / 2);
             let nominal = case.bench.nominal_nm[0];
             for r in &mut rows[from..from + n / 5] {
                 r.fbg_nm[0] = 2.0 * nominal - r.fbg_nm[0];
             }
         }
-        Trick::GrooveInMetres => rows.iter_mut().for_each(|r| r.groove_mm = r.groove_mm.map(|v| v * 1e-3)),
-        Trick::StageInMicrometres => rows.iter_mut().for_each(|r| r.planned.stage_mm *= 1e3),
-        Trick::ClockShift => {
+        Tampering::GrooveInMetres => {
+            rows.iter_mut().for_each(|r| r.groove_mm = r.groove_mm.map(|v| v * 1e-3))
+        }
+        Tampering::StageInMicrometres => rows.iter_mut().for_each(|r| r.planned.stage_mm *= 1e3),
+        Tampering::ClockShift => {
             let from = rng.random_range(n / 5..n / 2);
             for r in &mut rows[from..from + n / 5] {
                 r.planned.t_s -= 400.0;
             }
         }
-        Trick::ClockBackwards => {
+        Tampering::ClockBackwards => {
             let end = rows[n - 1].planned.t_s;
             for r in &mut rows[..n] {
                 r.planned.t_s = end - r.planned.t_s;
             }
         }
-        Trick::CopiedHoldout => {
+        Tampering::CopiedHoldout => {
             let sources: Vec<_> = rows[..n].iter().filter(|r| r.planned.role != "rest").cloned().collect();
             let moments = &mut case.truth.holdout_moments_nmm;
             for (k, r) in rows[n..].iter_mut().enumerate().filter(|(_, r)| r.planned.role != "rest") {
@@ -146,7 +148,7 @@ pub fn tamper(case: &mut Case, trick: Trick, rng: &mut impl Rng) {
                 moments[k] = [f64::NAN; 2];
             }
         }
-        Trick::FrozenReference => {
+        Tampering::FrozenReference => {
             let (first, warm) = (rows[0].reference_nm, rows[0].temperature_degc);
             for r in rows.iter_mut() {
                 (r.reference_nm, r.temperature_degc) = (first, warm);

@@ -7,23 +7,23 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use crate::PlantError;
-use crate::adversarial::Trick;
+use crate::adversarial::Tampering;
 use crate::bench::Bench;
 use crate::effects::{Effect, Kind};
-use crate::layout::{Design, Planned};
+use crate::layout::{Design, PlannedRow};
 use crate::noise::Law;
 use crate::rivals::Rival;
-use crate::shapes::{Cameras, Fault, Shown, shapes_json};
+use crate::shapes::{Cameras, Fault, WireAtPose, shapes_json};
 
 /// What a session shall contain.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Want {
+pub enum CaseKind {
     /// No effect.
     Null,
     /// These effects, each (alone) of the target size.
     Effects(Vec<Kind>),
     /// No effect, but tampered with.
-    Adversarial(Trick),
+    Adversarial(Tampering),
 }
 
 /// Make of the wire.
@@ -39,7 +39,7 @@ pub enum Make {
 
 /// What a paper-like session is beside its effects: whether cameras look on, and what is wrong with them and with the declared wire.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Looked {
+pub struct PictureSetup {
     /// The session has pictures; else the same session without.
     pub pictures: bool,
     /// Fault of the cameras' setup.
@@ -56,7 +56,7 @@ pub struct Request {
     /// Rows and their order.
     pub design: Design,
     /// Content.
-    pub want: Want,
+    pub want: CaseKind,
     /// Wanted size of each effect in noises.
     pub target_sigma: f64,
     /// Whether to look for the nearest rival of a single effect (a second or two more).
@@ -78,7 +78,7 @@ pub struct Reading {
     /// Number within its file.
     pub point: usize,
     /// Plan.
-    pub planned: Planned,
+    pub planned: PlannedRow,
     /// Number of the trajectory.
     pub trajectory_id: usize,
     /// Groove centre, mm.
@@ -167,9 +167,9 @@ pub struct Case {
     /// Bench as the session declares it.
     pub declared: Bench,
     /// How cameras look on; none where nobody asked.
-    pub looked: Option<Looked>,
+    pub looked: Option<PictureSetup>,
     /// What they see: settled poses, each with its point of points.csv.
-    pub shown: Vec<(usize, Shown)>,
+    pub shown: Vec<(usize, WireAtPose)>,
 }
 
 const HEADER: &str = "point,role,trajectory,replicate,t_s,stage_mm,direction,speed_mm_s,dwell_s,groove_x_mm,groove_y_mm,groove_z_mm,temperature_degc,fbg_ref_nm,fbg_1_nm,fbg_2_nm,fbg_1_sd_pm,fbg_2_sd_pm,samples\n";

@@ -23,7 +23,7 @@ pub enum Design {
 
 /// A row before it is measured.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Planned {
+pub struct PlannedRow {
     /// In holdout.csv (else points.csv).
     pub holdout: bool,
     /// `rest`, `calibration`, `verification` or `holdout`.
@@ -47,7 +47,7 @@ pub struct Planned {
 }
 
 struct Planner {
-    rows: Vec<Planned>,
+    rows: Vec<PlannedRow>,
     t_s: f64,
     commanded_mm: f64,
     trajectory: usize,
@@ -97,7 +97,7 @@ impl Planner {
         role: &'static str,
     ) {
         self.commanded_mm = to_mm;
-        self.rows.push(Planned {
+        self.rows.push(PlannedRow {
             holdout: self.holdout,
             role,
             trajectory: self.trajectory,
@@ -119,7 +119,7 @@ impl Planner {
 }
 
 /// Plans points and holdout rows; `trajectories` are those of [`crate::bench::Bench::trajectories`].
-pub fn plan(design: Design, trajectories: &[Trajectory], rng: &mut impl Rng) -> Vec<Planned> {
+pub fn plan(design: Design, trajectories: &[Trajectory], rng: &mut impl Rng) -> Vec<PlannedRow> {
     let mut p = Planner { rows: Vec::new(), t_s: 0.0, commanded_mm: 0.0, trajectory: 0, holdout: false };
     let fitted: Vec<(usize, f64)> = trajectories
         .iter()
@@ -182,7 +182,7 @@ pub struct Asked {
 const ASKED_REPEATS: usize = 4;
 
 /// Plans the later session that `asked` describes: a rest reading before every excursion.
-pub fn plan_asked(asked: &[Asked], trajectories: &[Trajectory]) -> Vec<Planned> {
+pub fn plan_asked(asked: &[Asked], trajectories: &[Trajectory]) -> Vec<PlannedRow> {
     let mut p = Planner { rows: Vec::new(), t_s: 0.0, commanded_mm: 0.0, trajectory: 0, holdout: false };
     for (k, a) in asked.iter().enumerate() {
         let Some(index) = trajectories.iter().position(|t| t.id == a.trajectory) else { continue };
@@ -314,9 +314,9 @@ pub struct Instant {
 const STEP_MM: f64 = 0.1;
 
 /// The whole motion, moves in small steps, ending each row's dwell with its instant.
-pub fn motion(rows: &[Planned]) -> Vec<Instant> {
+pub fn motion(rows: &[PlannedRow]) -> Vec<Instant> {
     let mut out = Vec::new();
-    let mut last: Option<&Planned> = None;
+    let mut last: Option<&PlannedRow> = None;
     for (i, row) in rows.iter().enumerate() {
         let same = last.is_some_and(|l| l.trajectory == row.trajectory);
         let from_mm = if same { last.map_or(0.0, |l| l.commanded_mm) } else { 0.0 };

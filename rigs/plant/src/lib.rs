@@ -22,7 +22,7 @@ pub mod simulate;
 pub mod sweep;
 pub mod table;
 
-pub use case::{Case, Make, Request, Truth, Want};
+pub use case::{Case, CaseKind, Make, Request, Truth};
 pub use effects::{Effect, Kind};
 pub use layout::Design;
 pub use noise::Noise;

@@ -9,7 +9,7 @@ use rand_distr::{ChiSquared, Distribution, StandardNormal};
 use serde::Serialize;
 
 use crate::bench::{Bench, Trajectory};
-use crate::layout::Planned;
+use crate::layout::PlannedRow;
 
 /// How a session's noise is made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -94,7 +94,7 @@ pub struct Rounding {
 
 /// A reading that is grossly off.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Gross {
+pub struct Outlier {
     /// Index among all rows, points first.
     pub row: usize,
     /// Error of both channels, nm.
@@ -121,7 +121,7 @@ pub struct Law {
     /// Rounding.
     pub rounding: Option<Rounding>,
     /// Gross readings.
-    pub gross: Vec<Gross>,
+    pub gross: Vec<Outlier>,
 }
 
 /// Samples averaged in a settled and in a moving reading.
@@ -129,7 +129,7 @@ const SETTLED_SAMPLES: usize = 2000;
 const MOVING_SAMPLES: usize = 200;
 
 /// Samples averaged in a reading.
-pub fn samples(row: &Planned) -> usize {
+pub fn samples(row: &PlannedRow) -> usize {
     if row.speed_mm_s > 0.0 { MOVING_SAMPLES } else { SETTLED_SAMPLES }
 }
 
@@ -159,7 +159,7 @@ impl Law {
     }
 
     /// Draws sizes and rates of a kind.
-    pub fn draw(kind: Noise, bench: &Bench, rows: &[Planned], seed: u64) -> Self {
+    pub fn draw(kind: Noise, bench: &Bench, rows: &[PlannedRow], seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x0401_5e00);
         let rng = &mut rng;
         let mut law = Self { kind, ..Self::gaussian(bench) };
@@ -193,20 +193,20 @@ impl Law {
     }
 
     /// White noise of a row, pm; `reach_mm` is the depth that counts as full.
-    pub fn white_pm(&self, row: &Planned, reach_mm: f64) -> f64 {
+    pub fn white_pm(&self, row: &PlannedRow, reach_mm: f64) -> f64 {
         let depth = (row.commanded_mm / reach_mm).clamp(0.0, 1.0);
         let loaded = if row.role == "rest" { 1.0 } else { self.loaded };
         self.repeat_pm * loaded * (1.0 + (self.full_depth - 1.0) * depth)
     }
 
     /// What a channel and the reference each add to a temperature-compensated reading, pm: samples and rounding.
-    fn reading_pm(&self, bench: &Bench, row: &Planned) -> f64 {
+    fn reading_pm(&self, bench: &Bench, row: &PlannedRow) -> f64 {
         let rounding = self.rounding.map_or(0.0, |r| r.step_pm * r.step_pm / 12.0);
         (bench.sample_sd_pm.powi(2) / samples(row) as f64 + rounding).sqrt()
     }
 
     /// Standard deviation of a temperature-compensated reading at a pose not visited before, pm.
-    pub fn new_pose_pm(&self, bench: &Bench, row: &Planned, reach_mm: f64) -> f64 {
+    pub fn new_pose_pm(&self, bench: &Bench, row: &PlannedRow, reach_mm: f64) -> f64 {
         let pose = if row.role == "rest" { 0.0 } else { self.pose_pm };
         let drift = self.drift.map_or(0.0, |d| d.sd_pm);
         let reading = self.reading_pm(bench, row);
@@ -219,7 +219,7 @@ impl Law {
     }
 
     /// Draws the noise of a whole session.
-    pub fn series(&self, rows: &[Planned], trajectories: &[Trajectory], seed: u64) -> Series {
+    pub fn series(&self, rows: &[PlannedRow], trajectories: &[Trajectory], seed: u64) -> Series {
         let mut tails = ChaCha8Rng::seed_from_u64(seed ^ 0x7a11_5000);
         let mut slow = ChaCha8Rng::seed_from_u64(seed ^ 0x510e_0000);
         let mut poses = ChaCha8Rng::seed_from_u64(seed ^ 0x905e_0000);
@@ -264,8 +264,8 @@ impl Law {
 }
 
 /// Gross readings at different settled rows.
-fn gross(count: usize, rows: &[Planned], rng: &mut impl Rng) -> Vec<Gross> {
-    let mut out: Vec<Gross> = Vec::new();
+fn gross(count: usize, rows: &[PlannedRow], rng: &mut impl Rng) -> Vec<Outlier> {
+    let mut out: Vec<Outlier> = Vec::new();
     while out.len() < count {
         let held_out = rng.random_bool(GROSS_HELD_OUT);
         let of: Vec<usize> =
@@ -275,14 +275,14 @@ fn gross(count: usize, rows: &[Planned], rng: &mut impl Rng) -> Vec<Gross> {
         let (first, second) = (one(), one());
         let error_nm = [[first, 0.0], [0.0, second], [first, second]][rng.random_range(0..3_usize)];
         if out.iter().all(|g| g.row != row) {
-            out.push(Gross { row, error_nm });
+            out.push(Outlier { row, error_nm });
         }
     }
     out
 }
 
 /// Number of the visit that each row belongs to: settled readings in turn at one stage position are one visit.
-pub fn visits(rows: &[Planned]) -> Vec<usize> {
+pub fn visits(rows: &[PlannedRow]) -> Vec<usize> {
     let mut visit = 0;
     (0..rows.len())
         .map(|i| {
@@ -317,7 +317,7 @@ pub struct Covariance {
 
 impl Covariance {
     /// Of the compensated readings under `law`. What the reference adds is counted in each channel by itself.
-    pub fn new(law: &Law, bench: &Bench, rows: &[Planned], trajectories: &[Trajectory]) -> Self {
+    pub fn new(law: &Law, bench: &Bench, rows: &[PlannedRow], trajectories: &[Trajectory]) -> Self {
         let points: Vec<usize> = (0..rows.len()).filter(|&i| !rows[i].holdout).collect();
         let visits = visits(rows);
         let matrix = DMatrix::from_fn(points.len(), points.len(), |i, j| {

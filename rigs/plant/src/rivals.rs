@@ -7,8 +7,8 @@ use std::collections::BTreeSet;
 use crate::PlantError;
 use crate::case::Reading;
 use crate::effects::{Effect, Kind};
-use crate::noise::Gross;
-use crate::simulate::{Clean, Plant, moments};
+use crate::noise::Outlier;
+use crate::simulate::{NoiseFree, Plant, moments};
 
 /// The effect of the catalogue that comes nearest to a session's readings.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -26,7 +26,7 @@ const UNDECIDED: f64 = 3.0;
 
 /// Held-out moment error in N mm (rms over both components) of an oracle that knows the effect's readings, the noise's
 /// covariance and the gross readings, and fits only K and the zero on the points.
-pub fn oracle_error_nmm(plant: &Plant, clean: &[Clean], readings: &[Reading], gross: &[Gross]) -> f64 {
+pub fn oracle_error_nmm(plant: &Plant, clean: &[NoiseFree], readings: &[Reading], gross: &[Outlier]) -> f64 {
     let points = plant.covariance.rows();
     let moment = |i: usize| clean[i].moment_nmm;
     // Reading without the declared temperature term and without the effect's own part.
@@ -128,13 +128,13 @@ fn rivals() -> Vec<(&'static str, Alternatives)> {
 pub fn nearest(
     plant: &mut Plant,
     own: &str,
-    with: &[Clean],
-    without: &[Clean],
+    with: &[NoiseFree],
+    without: &[NoiseFree],
 ) -> Result<Option<Rival>, PlantError> {
     let rows = plant.covariance.rows().to_vec();
     let n = rows.len();
     // Both channels, whitened, one above the other.
-    let stack = |plant: &Plant, a: &[Clean]| -> DVector<f64> {
+    let stack = |plant: &Plant, a: &[NoiseFree]| -> DVector<f64> {
         let d = DMatrix::from_fn(n, 2, |i, c| a[rows[i]].shift_pm[c] - without[rows[i]].shift_pm[c]);
         DVector::from_column_slice(plant.covariance.whiten(&d).as_slice())
     };

@@ -8,13 +8,13 @@ use serde_json::{Map, Value, json};
 use crate::PlantError;
 use crate::adversarial;
 use crate::bench::{Bench, PM_PER_DEGC, REFERENCE_DEGC};
-use crate::case::{Case, Flag, Looked, Make, Reading, Request, Truth, Want};
+use crate::case::{Case, CaseKind, Flag, Make, PictureSetup, Reading, Request, Truth};
 use crate::effects::Effect;
-use crate::layout::{Asked, Planned, plan, plan_asked};
+use crate::layout::{Asked, PlannedRow, plan, plan_asked};
 use crate::noise::{self, Law, Noise};
 use crate::rivals::{nearest, oracle_error_nmm};
-use crate::shapes::{Cameras, Fault, Shown, contact_sigma};
-use crate::simulate::{Clean, Plant};
+use crate::shapes::{Cameras, Fault, WireAtPose, contact_sigma};
+use crate::simulate::{NoiseFree, Plant};
 
 /// Draws a session on the usual wire, with white normal noise.
 ///
@@ -41,7 +41,7 @@ pub fn draw_under(request: &Request, noise: Noise, wire: Make) -> Result<Case, P
 ///
 /// # Errors
 /// As [`draw`].
-pub fn draw_looked(request: &Request, looked: Looked) -> Result<Case, PlantError> {
+pub fn draw_looked(request: &Request, looked: PictureSetup) -> Result<Case, PlantError> {
     let mut rng = ChaCha8Rng::seed_from_u64(request.seed);
     let bench = Bench::draw(&mut rng);
     drawn(request, Noise::Gaussian, Make::Usual, bench, Some(looked), rng)
@@ -61,7 +61,7 @@ fn drawn(
     noise: Noise,
     wire: Make,
     declared: Bench,
-    looked: Option<Looked>,
+    looked: Option<PictureSetup>,
     mut rng: ChaCha8Rng,
 ) -> Result<Case, PlantError> {
     let off_mm = looked.map_or(0.0, |l| l.straight_off_mm);
@@ -80,7 +80,7 @@ fn drawn(
     let without = plant.clean(&[])?;
 
     let kinds = match &request.want {
-        Want::Effects(kinds) => kinds.clone(),
+        CaseKind::Effects(kinds) => kinds.clone(),
         _ => Vec::new(),
     };
     let mut effects = Vec::new();
@@ -122,13 +122,13 @@ fn drawn(
         _ => Vec::new(),
     };
     let mut case = Case { bench: plant.bench.clone(), readings, truth, effects, declared, looked, shown };
-    if let Want::Adversarial(trick) = request.want {
+    if let CaseKind::Adversarial(trick) = request.want {
         adversarial::tamper(&mut case, trick, &mut rng);
     }
     Ok(case)
 }
 
-impl Looked {
+impl PictureSetup {
     /// Identifier of what is wrong with cameras or wire; none where nothing is.
     fn found(&self) -> Option<&'static str> {
         match self.fault {
@@ -143,7 +143,7 @@ impl Looked {
 }
 
 /// What is shown of the rows of points.csv, each with its point.
-fn points_shown(readings: &[Reading], shown: Vec<Option<Shown>>) -> Vec<(usize, Shown)> {
+fn points_shown(readings: &[Reading], shown: Vec<Option<WireAtPose>>) -> Vec<(usize, WireAtPose)> {
     let points = readings.iter().zip(shown).filter(|(r, _)| !r.planned.holdout);
     points.filter_map(|(r, s)| Some((r.point, s?))).collect()
 }
@@ -182,7 +182,12 @@ pub fn later(case: &Case, asked: &[Asked]) -> Result<Case, PlantError> {
 }
 
 /// Sets the amplitude so that the effect's size is `target` noises, within its range; returns the size.
-fn scale(plant: &mut Plant, effect: &mut Effect, without: &[Clean], target: f64) -> Result<f64, PlantError> {
+fn scale(
+    plant: &mut Plant,
+    effect: &mut Effect,
+    without: &[NoiseFree],
+    target: f64,
+) -> Result<f64, PlantError> {
     let range = effect.kind.range();
     let mut size_at = |a: f64, effect: &mut Effect| -> Result<f64, PlantError> {
         effect.amplitude = a;
@@ -222,7 +227,7 @@ fn scale(plant: &mut Plant, effect: &mut Effect, without: &[Clean], target: f64)
 }
 
 /// Turns noise-free answers into readings.
-fn measure(plant: &Plant, clean: &[Clean], law: &Law, seed: u64, rng: &mut impl Rng) -> Vec<Reading> {
+fn measure(plant: &Plant, clean: &[NoiseFree], law: &Law, seed: u64, rng: &mut impl Rng) -> Vec<Reading> {
     let bench = &plant.bench;
     let series = law.series(&plant.rows, &plant.trajectories, seed);
     let mut normal = |sd: f64| -> f64 {
@@ -265,11 +270,11 @@ fn measure(plant: &Plant, clean: &[Clean], law: &Law, seed: u64, rng: &mut impl 
     out
 }
 
-fn truth(request: &Request, plant: &Plant, effects: &[Effect], clean: &[Clean], law: Law) -> Truth {
+fn truth(request: &Request, plant: &Plant, effects: &[Effect], clean: &[NoiseFree], law: Law) -> Truth {
     let unknown = effects.iter().find(|e| e.kind.is_unknown());
     let driver = unknown.and_then(|e| e.kind.driver());
     let label = match (&request.want, effects) {
-        (Want::Adversarial(_), _) => "adversarial".to_owned(),
+        (CaseKind::Adversarial(_), _) => "adversarial".to_owned(),
         (_, []) => "null".to_owned(),
         (_, [one]) => one.kind.name().0.to_owned(),
         _ => "pair".to_owned(),
@@ -288,7 +293,7 @@ fn truth(request: &Request, plant: &Plant, effects: &[Effect], clean: &[Clean], 
         .map(|r| law.new_pose_pm(&plant.bench, r, plant.trajectories[r.trajectory].reach_mm).powi(2))
         .collect();
     let expected = match request.want {
-        Want::Adversarial(trick) => trick.expected().iter().map(|s| (*s).to_owned()).collect(),
+        CaseKind::Adversarial(trick) => trick.expected().iter().map(|s| (*s).to_owned()).collect(),
         _ => Vec::new(),
     };
     Truth {
@@ -338,8 +343,8 @@ impl Case {
     ///
     /// # Errors
     /// [`PlantError::NoEquilibrium`] when the rod does not settle.
-    pub fn under(&self, effects: &[Effect]) -> Result<(Self, Vec<(usize, Shown)>), PlantError> {
-        let rows: Vec<Planned> = self.readings.iter().map(|r| r.planned.clone()).collect();
+    pub fn under(&self, effects: &[Effect]) -> Result<(Self, Vec<(usize, WireAtPose)>), PlantError> {
+        let rows: Vec<PlannedRow> = self.readings.iter().map(|r| r.planned.clone()).collect();
         let mut plant = Plant::new(self.bench.clone(), self.bench.trajectories(), rows, &self.truth.noise);
         let (without, with) = (plant.clean(&self.effects)?, plant.clean(effects)?);
         let shown = plant.shown(effects)?;

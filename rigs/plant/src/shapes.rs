@@ -20,7 +20,7 @@ const STATION_EVERY: usize = 8;
 
 /// The wire at one pose, as it is.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Shown {
+pub struct WireAtPose {
     /// The wire's centre in the groove, base frame, mm.
     pub groove_mm: V3,
     /// Arc length of the contact, mm.
@@ -96,7 +96,7 @@ impl Column {
 }
 
 /// Size of a change of the contacts in standard deviations of what the cameras state: groove and arc length, shared errors included.
-pub fn contact_sigma(with: &[Shown], without: &[Shown], cameras: &Cameras) -> f64 {
+pub fn contact_sigma(with: &[WireAtPose], without: &[WireAtPose], cameras: &Cameras) -> f64 {
     let rows = 4 * with.len();
     let mut change = DVector::zeros(rows);
     let mut own = DMatrix::zeros(rows, rows);
@@ -132,7 +132,7 @@ fn across(t: &V3) -> [V3; 2] {
 }
 
 /// Errors that a pair has of its own, as `stations` of its line see them.
-fn own_errors(s: &Shown, stations: &[usize], own_mm: f64) -> Vec<Column> {
+fn own_errors(s: &WireAtPose, stations: &[usize], own_mm: f64) -> Vec<Column> {
     let zeros = || vec![V3::zeros(); stations.len()];
     let mut own = Vec::new();
     // Along the wire the tag errs, and the foot with it; across it the wire does.
@@ -152,7 +152,7 @@ fn own_errors(s: &Shown, stations: &[usize], own_mm: f64) -> Vec<Column> {
 }
 
 /// Errors that all pairs share, in the order of `shared_parameters`, as `places` of a pair see them.
-fn shared_errors(s: &Shown, places: &[V3]) -> Vec<Column> {
+fn shared_errors(s: &WireAtPose, places: &[V3]) -> Vec<Column> {
     let zeros = || vec![V3::zeros(); places.len()];
     let axes = [V3::x(), V3::y(), V3::z()];
     let mut shared: Vec<Column> =
@@ -175,7 +175,7 @@ fn shared_errors(s: &Shown, places: &[V3]) -> Vec<Column> {
 
 /// Pair `k` of so many as pictures would give it: its errors drawn, and the fault.
 fn pair_json(
-    (point, s): (usize, &Shown),
+    (point, s): (usize, &WireAtPose),
     cameras: &Cameras,
     (fault, k, count): (Fault, usize, usize),
     q: &[f64],
@@ -250,7 +250,7 @@ fn pair_json(
 /// `shapes.json` of the poses `shown`, each with its point.
 pub fn shapes_json(
     session: &str,
-    shown: &[(usize, Shown)],
+    shown: &[(usize, WireAtPose)],
     cameras: &Cameras,
     fault: Fault,
     seed: u64,

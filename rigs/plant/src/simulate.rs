@@ -7,11 +7,11 @@ use rand_chacha::ChaCha8Rng;
 use crate::PlantError;
 use crate::bench::{Bench, Trajectory};
 use crate::effects::{Effect, FBG_PM, Kind};
-use crate::layout::{Instant, Planned, motion};
+use crate::layout::{Instant, PlannedRow, motion};
 use crate::memory;
 use crate::noise::{Covariance, Law};
 use crate::rod::Wire;
-use crate::shapes::{STEP_MM, Shown};
+use crate::shapes::{STEP_MM, WireAtPose};
 use crate::table::{Grip, Path, Table, dragged_equilibrium, friction_drags};
 
 /// A session's bench, plan and motion, with the tables last used.
@@ -21,7 +21,7 @@ pub struct Plant {
     /// Trajectories.
     pub trajectories: Vec<Trajectory>,
     /// Rows in order, points first.
-    pub rows: Vec<Planned>,
+    pub rows: Vec<PlannedRow>,
     /// True covariance of the readings of points.csv.
     pub covariance: Covariance,
     motion: Vec<Instant>,
@@ -45,7 +45,7 @@ impl Geometry {
 
 /// The wire in the groove at one instant.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-struct Held {
+struct GrooveLoad {
     /// Moment about y and z, N mm.
     moment_nmm: [f64; 2],
     /// Tangential part of the contact force over the normal one.
@@ -54,7 +54,7 @@ struct Held {
 
 /// Noise-free answer of one row.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Clean {
+pub struct NoiseFree {
     /// Base moment (y, z) in N mm, as the rod has it.
     pub moment_nmm: [f64; 2],
     /// Shift of both channels in pm without zero and without the declared temperature term.
@@ -63,7 +63,7 @@ pub struct Clean {
 
 impl Plant {
     /// A plant for a bench and a plan under a law of noise.
-    pub fn new(bench: Bench, trajectories: Vec<Trajectory>, rows: Vec<Planned>, law: &Law) -> Self {
+    pub fn new(bench: Bench, trajectories: Vec<Trajectory>, rows: Vec<PlannedRow>, law: &Law) -> Self {
         let motion = motion(&rows);
         let covariance = Covariance::new(law, &bench, &rows, &trajectories);
         Self { bench, trajectories, rows, covariance, motion, cache: None }
@@ -73,16 +73,16 @@ impl Plant {
     ///
     /// # Errors
     /// [`PlantError::NoEquilibrium`] when the rod does not settle.
-    pub fn clean(&mut self, effects: &[Effect]) -> Result<Vec<Clean>, PlantError> {
+    pub fn clean(&mut self, effects: &[Effect]) -> Result<Vec<NoiseFree>, PlantError> {
         let rod: Vec<[f64; 2]> = self.held(effects)?.into_iter().map(|h| h.moment_nmm).collect();
         let mut sensed = rod.clone();
         for effect in effects {
             sensed = memory::apply(effect, &self.motion, sensed);
         }
-        let mut out = vec![Clean::default(); self.rows.len()];
+        let mut out = vec![NoiseFree::default(); self.rows.len()];
         for ((instant, rod), sensed) in self.motion.iter().zip(&rod).zip(&sensed) {
             let Some(row) = instant.row else { continue };
-            out[row] = Clean { moment_nmm: *rod, shift_pm: self.bench.shift_pm(*sensed) };
+            out[row] = NoiseFree { moment_nmm: *rod, shift_pm: self.bench.shift_pm(*sensed) };
             for effect in effects {
                 let add = self.sensor(effect, row, *sensed);
                 out[row].shift_pm[0] += add[0];
@@ -99,7 +99,7 @@ impl Plant {
     ///
     /// # Errors
     /// [`PlantError::NoEquilibrium`] when the rod does not settle.
-    pub fn shown(&mut self, effects: &[Effect]) -> Result<Vec<Option<Shown>>, PlantError> {
+    pub fn shown(&mut self, effects: &[Effect]) -> Result<Vec<Option<WireAtPose>>, PlantError> {
         let held = self.held(effects)?;
         let geometry = self.geometry(effects);
         let mut out = vec![None; self.rows.len()];
@@ -111,7 +111,7 @@ impl Plant {
             let path = geometry.path(trajectory);
             let e = dragged_equilibrium(&geometry.wire, &path, held.drag, trajectory.reach_mm, stage_mm)?;
             let groove_mm = path.at(stage_mm);
-            out[row] = Some(Shown {
+            out[row] = Some(WireAtPose {
                 groove_mm,
                 arclength_mm: e.arclength_mm,
                 tangent: e.tangent,
@@ -123,7 +123,7 @@ impl Plant {
     }
 
     /// The wire in the groove at every instant.
-    fn held(&mut self, effects: &[Effect]) -> Result<Vec<Held>, PlantError> {
+    fn held(&mut self, effects: &[Effect]) -> Result<Vec<GrooveLoad>, PlantError> {
         let geometry = self.geometry(effects);
         if self.cache.as_ref().is_none_or(|(g, _)| *g != geometry) {
             let tables = self.tables(&geometry)?;
@@ -208,7 +208,7 @@ impl Plant {
     }
 
     /// The rod at every instant.
-    fn rod(&self, effects: &[Effect], tables: &[Table], stages: &[f64]) -> Vec<Held> {
+    fn rod(&self, effects: &[Effect], tables: &[Table], stages: &[f64]) -> Vec<GrooveLoad> {
         let friction = effects.iter().find(|e| {
             matches!(e.kind, Kind::FrictionCoulomb | Kind::FrictionPresliding | Kind::FrictionStribeck)
         });
@@ -223,12 +223,12 @@ impl Plant {
                     (grip, drag, before, trajectory) = (Grip::default(), 0.0, x, instant.trajectory);
                 }
                 if !instant.loaded {
-                    return Held::default();
+                    return GrooveLoad::default();
                 }
                 let table = &tables[instant.trajectory];
                 let held = |drag: f64| {
                     let at = table.at(x, drag);
-                    Held { moment_nmm: [at[0], at[1]], drag }
+                    GrooveLoad { moment_nmm: [at[0], at[1]], drag }
                 };
                 let Some(f) = friction else { return held(0.0) };
                 if f.kind == Kind::FrictionPresliding {
@@ -242,7 +242,7 @@ impl Plant {
                 let slow = f.kind == Kind::FrictionStribeck && instant.velocity_mm_s != 0.0;
                 let (moment_nmm, drag) =
                     grip.step(table, x, f.amplitude * if slow { f.shape[0] } else { 1.0 });
-                Held { moment_nmm, drag }
+                GrooveLoad { moment_nmm, drag }
             })
             .collect()
     }
@@ -282,7 +282,7 @@ impl Plant {
     }
 
     /// A few settled readings with the wire out of the vertex.
-    fn slips(&self, effect: &Effect, out: &mut [Clean]) {
+    fn slips(&self, effect: &Effect, out: &mut [NoiseFree]) {
         let mut rng = ChaCha8Rng::seed_from_u64(effect.shape[1] as u64);
         let settled: Vec<usize> = (0..self.rows.len())
             .filter(|&i| !self.rows[i].holdout && self.rows[i].role != "rest" && self.rows[i].dwell_s > 0.0)
@@ -305,7 +305,7 @@ impl Plant {
 
     /// Size in noises of what K and the zero cannot absorb, over the rows of points.csv (as truth.json counts it),
     /// measured against the true covariance of the noise.
-    pub fn size(&self, with: &[Clean], without: &[Clean]) -> f64 {
+    pub fn size(&self, with: &[NoiseFree], without: &[NoiseFree]) -> f64 {
         let rows = self.covariance.rows();
         let base = self.covariance.whiten(&moments(rows, without));
         (0..2)
@@ -321,6 +321,6 @@ impl Plant {
 }
 
 /// Columns that the zero and K take up: one, and both moments.
-pub fn moments(rows: &[usize], clean: &[Clean]) -> DMatrix<f64> {
+pub fn moments(rows: &[usize], clean: &[NoiseFree]) -> DMatrix<f64> {
     DMatrix::from_fn(rows.len(), 3, |i, j| if j == 0 { 1.0 } else { clean[rows[i]].moment_nmm[j - 1] })
 }

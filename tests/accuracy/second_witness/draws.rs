@@ -3,7 +3,7 @@
 use wcal_core::SessionData;
 use wcal_core::verify_document::Verdict;
 use wcal_plant::shapes::{Cameras, Fault, shapes_json};
-use wcal_plant::{Design, Effect, Kind, Request, Want, draw};
+use wcal_plant::{CaseKind, Design, Effect, Kind, Request, draw};
 use wcal_trace::verify::VerifyOptions;
 use wcal_trace::whisker::{Verified, verify_whisker};
 
@@ -67,7 +67,7 @@ pub fn answer(order: &Draw) -> Answer {
     let request = Request {
         seed: order.seed,
         design: Design::Paper,
-        want: Want::Null,
+        want: CaseKind::Null,
         target_sigma: 0.0,
         rivals: false,
     };

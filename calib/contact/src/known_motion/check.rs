@@ -77,7 +77,7 @@ pub struct Innovations {
     /// Degrees of freedom.
     pub dof: f64,
     /// Outliers.
-    pub gross: usize,
+    pub outlier: usize,
     /// Readings.
     pub rows: usize,
 }
@@ -86,12 +86,12 @@ impl Innovations {
     /// Of an episode that no state explains.
     #[must_use]
     pub fn unexplained(rows: usize) -> Self {
-        Self { plain: f64::INFINITY, robust: f64::INFINITY, dof: 2.0 * rows as f64, gross: 0, rows }
+        Self { plain: f64::INFINITY, robust: f64::INFINITY, dof: 2.0 * rows as f64, outlier: 0, rows }
     }
 
     /// Whether the innovations are consistent, a few outliers allowed.
     pub(crate) fn consistent(&self) -> bool {
-        !too_large(self.robust, self.dof) && self.gross <= (self.rows / MAX_GROSS).max(1)
+        !too_large(self.robust, self.dof) && self.outlier <= (self.rows / MAX_GROSS).max(1)
     }
 }
 
@@ -141,7 +141,7 @@ fn best_chi2(field: &MomentField, episode: &Episode, settings: &Settings) -> Opt
     let mode = climb(&path, &likelihood, settings, &mode.state)?;
     // With what is not known of the motion; a few outliers allowed.
     let likelihood = Likelihood::new(&path, settings, Some((&mode.state, &likelihood))).ok()?;
-    let gross = likelihood.regular.iter().filter(|r| **r < 0.5).count();
-    let few = gross <= (episode.rows.len() / MAX_GROSS).max(1);
+    let outlier = likelihood.regular.iter().filter(|r| **r < 0.5).count();
+    let few = outlier <= (episode.rows.len() / MAX_GROSS).max(1);
     few.then(|| likelihood.innovation(&path, &mode.state).0)
 }

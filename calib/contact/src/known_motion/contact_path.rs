@@ -9,7 +9,7 @@
 //!
 //! Source of the play operator: M. A. Krasnosel'skii, A. V. Pokrovskii, "Systems with Hysteresis", 1989.
 
-use super::field::{Held, MomentField};
+use super::field::{ContactMoments, MomentField};
 use super::{Episode, MotionRow};
 use nalgebra::{Rotation3, Vector3};
 
@@ -211,7 +211,7 @@ impl<'a> ContactPath<'a> {
                 moments.push([0.0; 2]);
                 continue;
             }
-            let (mut s, from) = match contact.filter(|c| c.2 == row.visit) {
+            let (mut s, from) = match contact.filter(|c| c.2 == row.contact_segment) {
                 Some((s, from, _)) => (s, from),
                 None => (state.s_mm, self.visit_start(&touch, &to)),
             };
@@ -223,7 +223,7 @@ impl<'a> ContactPath<'a> {
                 held = Some(play(self.field, &at, mu.coefficient * share, &mut s)?);
             }
             moments.push(held?.moment_nmm);
-            contact = Some((s, to, row.visit));
+            contact = Some((s, to, row.contact_segment));
         }
         Some(moments)
     }
@@ -242,7 +242,12 @@ impl<'a> ContactPath<'a> {
 }
 
 /// One step of the contact: it sticks up to the edge of the friction cone, then slips at it.
-pub(crate) fn play(field: &MomentField, at: &Vector3<f64>, friction: f64, s_mm: &mut f64) -> Option<Held> {
+pub(crate) fn play(
+    field: &MomentField,
+    at: &Vector3<f64>,
+    friction: f64,
+    s_mm: &mut f64,
+) -> Option<ContactMoments> {
     let here = field.at_place(at)?;
     let [low, free, high] = [-friction, 0.0, friction].map(|r| here.held(r).map(|h| h.arclength_mm));
     let (low, free, high) = (low?, free?, high?);

@@ -15,7 +15,8 @@
 use super::check::{self, Disagreement};
 use super::posterior::Region;
 use super::{
-    Episode, Innovations, MomentField, MotionRow, Place, RecursivePosterior, RecursiveSettings, check_row,
+    Episode, EpisodeContact, Innovations, MomentField, MotionRow, RecursivePosterior, RecursiveSettings,
+    check_row,
 };
 use crate::ContactError;
 use nalgebra::Vector3;
@@ -38,7 +39,7 @@ const KEPT: usize = 48;
 #[derive(Debug, Clone, Default)]
 pub struct StreamedContact {
     /// Where the wire is held; none outside of an episode.
-    pub place: Option<Place>,
+    pub place: Option<EpisodeContact>,
     /// 95 % region of highest density over the arc length of first touch.
     pub regions: Vec<Region>,
     /// Number of the episode.

@@ -53,8 +53,8 @@ pub fn share_correlated(rows: &mut [MotionRow], noise: &CorrelatedShare) {
             moved += size * size;
         }
         row.noise_nmm2 *= 1.0 - moved;
-        if !row.shared_way_mm.is_empty() {
-            row.shared_way_mm.resize(row.shared_nmm.len(), Vector3::zeros());
+        if !row.shared_displacement_mm.is_empty() {
+            row.shared_displacement_mm.resize(row.shared_nmm.len(), Vector3::zeros());
         }
     }
 }
@@ -71,13 +71,13 @@ mod tests {
             noise_nmm2,
             shared_nmm: vec![[0.1, 0.2]],
             free_nmm2: None,
-            shared_way_mm: vec![Vector3::x()],
+            shared_displacement_mm: vec![Vector3::x()],
             moved_mm: Vector3::zeros(),
             turn: Rotation3::identity(),
             velocity_mm_s: Vector3::zeros(),
             moved_sd_mm: 0.0,
             free: false,
-            visit: 0,
+            contact_segment: 0,
         }
     }
 
@@ -92,8 +92,8 @@ mod tests {
             share_correlated(&mut rows, &CorrelatedShare { variance_share: share, time_constant_s: tau });
             let columns = rows[0].shared_nmm.len();
             for (k, a) in rows.iter().enumerate() {
-                assert_eq!((a.shared_nmm.len(), a.shared_way_mm.len()), (columns, columns));
-                assert_eq!((a.shared_nmm[0], a.shared_way_mm[0]), ([0.1, 0.2], Vector3::x()));
+                assert_eq!((a.shared_nmm.len(), a.shared_displacement_mm.len()), (columns, columns));
+                assert_eq!((a.shared_nmm[0], a.shared_displacement_mm[0]), ([0.1, 0.2], Vector3::x()));
                 for (l, b) in rows.iter().enumerate() {
                     let mut found = if k == l { a.noise_nmm2 } else { Matrix2::zeros() };
                     for (u, v) in a.shared_nmm[1..].iter().zip(&b.shared_nmm[1..]) {

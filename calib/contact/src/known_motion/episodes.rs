@@ -47,13 +47,13 @@ fn returns(field: &MomentField, rows: &[MotionRow], from: usize, run: &Run, next
     (run.last + 1..next.first).all(|k| path.along(k - from) <= BACK_MM)
 }
 
-/// Ranges (first, one past the last) of the readings of each contact; `pieces` is incremented where the motion jumped. `visit` of the rows is
+/// Ranges (first, one past the last) of the readings of each contact; `pieces` is incremented where the motion jumped. `contact_segment` of the rows is
 /// set to the contact's run.
 #[must_use]
 pub fn episodes(field: &MomentField, rows: &mut [MotionRow], pieces: &[u32]) -> Vec<[usize; 2]> {
     let runs = runs(rows, pieces);
     for (n, run) in runs.iter().enumerate() {
-        rows[run.first..=run.last].iter_mut().for_each(|r| r.visit = n as u32);
+        rows[run.first..=run.last].iter_mut().for_each(|r| r.contact_segment = n as u32);
     }
     let mut found: Vec<[usize; 2]> = Vec::new();
     for (n, run) in runs.iter().enumerate() {
@@ -88,13 +88,13 @@ mod tests {
             noise_nmm2: Matrix2::identity() * 1e-6,
             shared_nmm: Vec::new(),
             free_nmm2: None,
-            shared_way_mm: Vec::new(),
+            shared_displacement_mm: Vec::new(),
             moved_mm: Vector3::z() * *z,
             turn: Rotation3::identity(),
             velocity_mm_s: Vector3::zeros(),
             moved_sd_mm: 0.0,
             free: false,
-            visit: 0,
+            contact_segment: 0,
         };
         ways_mm.iter().enumerate().map(row).collect()
     }
@@ -108,7 +108,7 @@ mod tests {
         let twice = [&up[..], &down, &up].concat();
         let mut all = rows(&twice);
         assert_eq!(episodes(&field, &mut all, &vec![0; twice.len()]), vec![[0, twice.len()]]);
-        assert!(all[7].visit == 0 && all[twice.len() - 1].visit == 1);
+        assert!(all[7].contact_segment == 0 && all[twice.len() - 1].contact_segment == 1);
         // The motion jumped in between: the first contact says nothing about the second.
         let pieces: Vec<u32> = (0..twice.len()).map(|k| u32::from(k >= 15)).collect();
         assert_eq!(episodes(&field, &mut rows(&twice), &pieces), vec![[0, 12], [15, twice.len()]]);

@@ -43,7 +43,7 @@ impl Friction {
 
 /// The wire held at one point: moments (N mm) and contact arc length (mm).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Held {
+pub struct ContactMoments {
     /// The two moment components, N mm.
     pub moment_nmm: [f64; 2],
     /// Contact arc length, mm.
@@ -51,15 +51,15 @@ pub struct Held {
 }
 
 /// Interpolated values at a place: what is left is the parabola through the ratios.
-pub(crate) struct AtPlace<'a> {
+pub(crate) struct InterpolatedField<'a> {
     field: &'a MomentField,
     place_mm: Vector3<f64>,
     sums: [[f64; 3]; 3],
 }
 
-impl AtPlace<'_> {
+impl InterpolatedField<'_> {
     /// As [`MomentField::held`].
-    pub fn held(&self, ratio: f64) -> Option<Held> {
+    pub fn held(&self, ratio: f64) -> Option<ContactMoments> {
         let by_ratio = self.field.ratio_weights(ratio);
         let sum = [0, 1, 2].map(|k| self.sums.iter().zip(by_ratio).map(|(s, by)| by * s[k]).sum());
         self.field.of_sums(&self.place_mm, &sum)
@@ -171,12 +171,12 @@ impl MomentField {
     /// Moments and contact at a place (mm) under a ratio of tangential to normal force; none where no equilibrium is known or the contact
     /// lies beyond the tip.
     #[must_use]
-    pub fn held(&self, place_mm: &Vector3<f64>, ratio: f64) -> Option<Held> {
+    pub fn held(&self, place_mm: &Vector3<f64>, ratio: f64) -> Option<ContactMoments> {
         self.at_place(place_mm)?.held(ratio)
     }
 
     /// The values at a place under every ratio.
-    pub(crate) fn at_place(&self, place_mm: &Vector3<f64>) -> Option<AtPlace<'_>> {
+    pub(crate) fn at_place(&self, place_mm: &Vector3<f64>) -> Option<InterpolatedField<'_>> {
         let (cell, [x, y, z]) = self.around(place_mm)?;
         let [wx, wy, wz] = [x, y, z].map(cubic);
         let ratios = cell.len() / 64;
@@ -187,12 +187,16 @@ impl MomentField {
                 sum.iter_mut().zip(value).for_each(|(s, v)| *s += weight * v);
             }
         }
-        Some(AtPlace { field: self, place_mm: *place_mm, sums })
+        Some(InterpolatedField { field: self, place_mm: *place_mm, sums })
     }
 
     /// [`Self::held`] with the derivative of the moments by the place, N mm/mm: that of the interpolating polynomial.
     #[must_use]
-    pub fn held_and_rate(&self, place_mm: &Vector3<f64>, ratio: f64) -> Option<(Held, Matrix2x3<f64>)> {
+    pub fn held_and_rate(
+        &self,
+        place_mm: &Vector3<f64>,
+        ratio: f64,
+    ) -> Option<(ContactMoments, Matrix2x3<f64>)> {
         let (cell, [x, y, z]) = self.around(place_mm)?;
         let [wx, wy, wz] = [x, y, z].map(cubic);
         let [rx, ry, rz] = [x, y, z].map(cubic_rate);
@@ -247,9 +251,9 @@ impl MomentField {
         Some((self.cell(low.map(|v| v as i32))?, [0, 1, 2].map(|k| scaled[k] - low[k])))
     }
 
-    fn of_sums(&self, place_mm: &Vector3<f64>, sum: &[f64; 3]) -> Option<Held> {
+    fn of_sums(&self, place_mm: &Vector3<f64>, sum: &[f64; 3]) -> Option<ContactMoments> {
         let squared = place_mm.norm_squared();
-        (sum[2] <= self.length_mm).then_some(Held {
+        (sum[2] <= self.length_mm).then_some(ContactMoments {
             moment_nmm: [sum[0] / squared - self.at_rest_nmm[0], sum[1] / squared - self.at_rest_nmm[1]],
             arclength_mm: sum[2],
         })

@@ -110,7 +110,7 @@ impl Likelihood {
                 blocks[k] += rate * rate.transpose() * (row.moved_sd_mm.powi(2) + TABLE_MM.powi(2));
                 let drift = row.velocity_mm_s * settings.clock_sd_s;
                 // Errors of the displacement enter through dm/dP: independent ones in the block, shared ones in the columns.
-                let shifts = row.shared_way_mm.iter().enumerate().chain([(shared, &drift)]);
+                let shifts = row.shared_displacement_mm.iter().enumerate().chain([(shared, &drift)]);
                 for (j, shift) in shifts {
                     let change = rate * shift;
                     (0..2).for_each(|c| modes[(2 * k + c, j)] += change[c]);
@@ -301,13 +301,13 @@ mod tests {
             // The third is the sum of the first two: of a covariance without full rank.
             shared_nmm: vec![[0.01, 0.0], [0.02 * f64::from(k), 0.03], [0.01 + 0.02 * f64::from(k), 0.03]],
             free_nmm2: None,
-            shared_way_mm: Vec::new(),
+            shared_displacement_mm: Vec::new(),
             moved_mm: Vector3::z() * f64::from(k),
             turn: Rotation3::identity(),
             velocity_mm_s: Vector3::zeros(),
             moved_sd_mm: 0.0,
             free: false,
-            visit: 0,
+            contact_segment: 0,
         };
         let rod = Rod::new(&WhiskerSpec::nominal(), 4.0).unwrap();
         let field = MomentField::new(&rod, &MomentAxes::default(), Friction::NONE);

@@ -51,7 +51,7 @@ pub use contact_stream::{ContactStream, StreamedContact};
 pub use correlated::{CorrelatedShare, share_correlated};
 pub use episodes::episodes;
 pub use field::{Friction, MomentField};
-pub use motion_log::{LogRow, Lost, Motion, MotionLog};
+pub use motion_log::{LogRow, Motion, MotionLog, MotionUnknown};
 pub use posterior::{Posterior, Region};
 pub use recursive::{PoseNoise, RecursivePosterior, RecursiveSettings};
 
@@ -76,7 +76,7 @@ pub struct MotionRow {
     /// the moment is none there.
     pub free_nmm2: Option<Matrix2<f64>>,
     /// By how much each changes the displacement, base frame, mm; the same number, or empty where the displacement depends on none.
-    pub shared_way_mm: Vec<Vector3<f64>>,
+    pub shared_displacement_mm: Vec<Vector3<f64>>,
     /// Displacement of the object with respect to the base, base frame, mm, up to a constant in the episode: a point is at `turn p + moved`.
     pub moved_mm: Vector3<f64>,
     /// Rotation of the object with respect to the base, up to a constant.
@@ -88,7 +88,7 @@ pub struct MotionRow {
     /// Known to be free of contact.
     pub free: bool,
     /// Readings of one visit follow each other without the contact being left in between unseen.
-    pub visit: u32,
+    pub contact_segment: u32,
 }
 
 /// Readings over which the displacement is known up to one constant, in order of time.
@@ -124,7 +124,7 @@ impl Default for Settings {
 
 /// Where the wire is held at one reading.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Place {
+pub struct EpisodeContact {
     /// Mean place of the wire's axis at the contact, mm; none where the episode has no usable contact.
     pub place_mm: Option<Vector3<f64>>,
     /// Covariance, mm^2.
@@ -132,14 +132,14 @@ pub struct Place {
     /// Probability that the wire is held.
     pub contact: f64,
     /// Whether the reading was treated as an outlier.
-    pub gross: bool,
+    pub outlier: bool,
 }
 
 /// Result of an episode.
 #[derive(Debug, Clone)]
-pub struct Located {
+pub struct EpisodeEstimate {
     /// The contact at each row.
-    pub places: Vec<Place>,
+    pub places: Vec<EpisodeContact>,
     /// The posterior of the state; none where no state explains anything.
     pub posterior: Option<Posterior>,
     /// Evidence against motion, map or rod.
@@ -152,31 +152,35 @@ pub struct Located {
 ///
 /// # Errors
 /// For rows that cannot be used: no push direction, times that do not go forward, numbers that are not finite.
-pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Result<Located, ContactError> {
+pub fn estimate_contact(
+    field: &MomentField,
+    episode: &Episode,
+    settings: &Settings,
+) -> Result<EpisodeEstimate, ContactError> {
     check_rows(episode)?;
     let all = episode;
     let Some(whole) = ContactPath::new(field, episode) else {
-        let found = Located::nothing(episode);
+        let found = EpisodeEstimate::nothing(episode);
         if !episode.rows.iter().any(loaded) {
             return Ok(found);
         }
         // The wire is loaded, but the motion has no direction.
         let innovations = Innovations::unexplained(episode.rows.len());
         let disagreement = check::disagreement(field, episode, settings, &innovations);
-        return Ok(Located { disagreement, innovations, ..found });
+        return Ok(EpisodeEstimate { disagreement, innovations, ..found });
     };
     let chosen = thinned(episode, settings.max_rows);
     let rows = chosen.iter().map(|&k| episode.rows[k].clone()).collect();
     let episode = &Episode { rows, push: Some(whole.push) };
     let Some(path) = ContactPath::new(field, episode) else {
-        return Ok(Located::nothing(all));
+        return Ok(EpisodeEstimate::nothing(all));
     };
     let mut likelihood = Likelihood::new(&path, settings, None)?;
     let Some(first) = posterior::modes(&path, &likelihood, settings).into_iter().next() else {
         // Loaded readings that no contact on the wire explains.
         let innovations = Innovations::unexplained(episode.rows.len());
         let disagreement = check::disagreement(field, episode, settings, &innovations);
-        return Ok(Located { disagreement, innovations, ..Located::nothing(all) });
+        return Ok(EpisodeEstimate { disagreement, innovations, ..EpisodeEstimate::nothing(all) });
     };
     let (plain, dof) = likelihood.innovation(&path, &first.state);
     let mut best = first;
@@ -199,11 +203,11 @@ pub fn locate(field: &MomentField, episode: &Episode, settings: &Settings) -> Re
             .unwrap_or_else(|| Posterior::new(&path, &likelihood, settings)),
     };
     let (robust, _) = likelihood.innovation(&path, &best.state);
-    let gross = likelihood.regular.iter().filter(|r| **r < 0.5).count();
-    let innovations = Innovations { plain, robust, dof, gross, rows: episode.rows.len() };
+    let outlier = likelihood.regular.iter().filter(|r| **r < 0.5).count();
+    let innovations = Innovations { plain, robust, dof, outlier, rows: episode.rows.len() };
     let disagreement = check::disagreement(field, episode, settings, &innovations);
     let is_gross = |k: usize| chosen.binary_search(&k).is_ok_and(|n| likelihood.regular[n] < 0.5);
-    Ok(Located {
+    Ok(EpisodeEstimate {
         places: posterior.places(&whole, is_gross),
         posterior: Some(posterior),
         disagreement,
@@ -254,9 +258,10 @@ fn without_one(
     Ok(best.map(|(_, likelihood, mode)| (likelihood, mode)))
 }
 
-impl Located {
+impl EpisodeEstimate {
     fn nothing(episode: &Episode) -> Self {
-        let place = Place { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, gross: false };
+        let place =
+            EpisodeContact { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, outlier: false };
         Self {
             places: vec![place; episode.rows.len()],
             posterior: None,
@@ -265,7 +270,7 @@ impl Located {
                 plain: 0.0,
                 robust: 0.0,
                 dof: 0.0,
-                gross: 0,
+                outlier: 0,
                 rows: episode.rows.len(),
             },
         }
@@ -299,7 +304,7 @@ fn check_row(row: &MotionRow, last_s: f64, shared: usize, what: &str) -> Result<
     if !(row.t_s >= last_s) {
         return Err(ContactError::value(what, format!("a time from {last_s} s on"), row.t_s.to_string()));
     }
-    for count in [row.shared_nmm.len(), row.shared_way_mm.len().max(shared)] {
+    for count in [row.shared_nmm.len(), row.shared_displacement_mm.len().max(shared)] {
         if count != shared {
             let expected = format!("{shared} common unknowns as in the first");
             return Err(ContactError::value(what, expected, count.to_string()));

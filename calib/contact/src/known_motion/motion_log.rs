@@ -55,7 +55,7 @@ pub struct Motion {
 
 /// Why the motion at a time is not known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Lost {
+pub enum MotionUnknown {
     /// Before the first or after the last row.
     Outside,
     /// Between rows more than the longest interval apart in time.
@@ -66,7 +66,7 @@ pub enum Lost {
     Unknown,
 }
 
-impl Lost {
+impl MotionUnknown {
     /// Name as in track.json.
     #[must_use]
     pub fn name(self) -> &'static str {
@@ -159,12 +159,12 @@ impl MotionLog {
     ///
     /// # Errors
     /// Where the motion is unknown at this time.
-    pub fn at(&self, t_s: f64, point_mm: &Vector3<f64>) -> Result<Motion, Lost> {
+    pub fn at(&self, t_s: f64, point_mm: &Vector3<f64>) -> Result<Motion, MotionUnknown> {
         let after = self.rows.partition_point(|r| r.t_s < t_s - SAME_S);
         // At a row's own time the pose is known; the velocity is that of an adjoining interval that is known.
         let own = self.rows.get(after).is_some_and(|r| r.t_s <= t_s + SAME_S);
         let sides = [after.checked_sub(1), own.then_some(after)].into_iter().flatten();
-        let mut why = Lost::Outside;
+        let mut why = MotionUnknown::Outside;
         for k in sides.filter(|k| k + 1 < self.rows.len()) {
             match self.between(k) {
                 Ok(()) => return Ok(self.on(k, t_s, point_mm)),
@@ -180,14 +180,19 @@ impl MotionLog {
     ///
     /// # Errors
     /// Where the motion is unknown within the filter.
-    pub fn averaged(&self, t_s: f64, point_mm: &Vector3<f64>, kernel: &[(f64, f64)]) -> Result<Motion, Lost> {
+    pub fn averaged(
+        &self,
+        t_s: f64,
+        point_mm: &Vector3<f64>,
+        kernel: &[(f64, f64)],
+    ) -> Result<Motion, MotionUnknown> {
         let here = self.at(t_s, point_mm)?;
         let fixed = here.turn.inverse() * (point_mm - here.moved_mm);
         let (mut place, mut velocity_mm_s) = (Vector3::zeros(), Vector3::zeros());
         for (offset_s, weight) in kernel {
             let m = self.at(t_s + offset_s, point_mm)?;
             if m.piece != here.piece {
-                return Err(Lost::Jump);
+                return Err(MotionUnknown::Jump);
             }
             place += (m.turn * fixed + m.moved_mm) * *weight;
             velocity_mm_s += m.velocity_mm_s * *weight;
@@ -196,14 +201,14 @@ impl MotionLog {
     }
 
     /// Whether the motion between a row and the next is known.
-    fn between(&self, k: usize) -> Result<(), Lost> {
+    fn between(&self, k: usize) -> Result<(), MotionUnknown> {
         let (a, b) = (&self.rows[k], &self.rows[k + 1]);
         if self.pieces[k + 1] != self.pieces[k] {
-            return Err(Lost::Jump);
+            return Err(MotionUnknown::Jump);
         }
         // A logger that writes only on change leaves intervals at standstill: equal poses at both ends are no gap.
         if b.t_s - a.t_s > self.max_gap_s && step_mm(a, b) > STILL_MM {
-            return Err(Lost::Gap);
+            return Err(MotionUnknown::Gap);
         }
         Ok(())
     }
@@ -242,20 +247,23 @@ mod tests {
         let at = |log: &MotionLog, t: f64| log.at(t, &Vector3::x());
         let known = at(&log(&even), 0.25).unwrap();
         assert!((known.moved_mm.z - 1.0).abs() < 1e-12 && (known.velocity_mm_s.z - 4.0).abs() < 1e-9);
-        assert_eq!(at(&log(&even), -0.1), Err(Lost::Outside));
-        assert_eq!(at(&log(&even), 1.95), Err(Lost::Outside));
+        assert_eq!(at(&log(&even), -0.1), Err(MotionUnknown::Outside));
+        assert_eq!(at(&log(&even), 1.95), Err(MotionUnknown::Outside));
         assert!(at(&log(&even), 0.0).is_ok() && at(&log(&even), 1.9).is_ok());
         // A second without rows during motion, and during standstill.
         let mut gap = even.clone();
         gap[10..].iter_mut().for_each(|r| *r = (r.0 + 1.0, r.1));
-        assert_eq!(at(&log(&gap), 1.5), Err(Lost::Gap));
+        assert_eq!(at(&log(&gap), 1.5), Err(MotionUnknown::Gap));
         gap[10..].iter_mut().for_each(|r| r.1 -= 0.4);
         assert!((at(&log(&gap), 1.5).unwrap().moved_mm.z - 3.6).abs() < 1e-9);
         // A jump parts the log.
         let mut jumped = even.clone();
         jumped[10..].iter_mut().for_each(|r| r.1 += 30.0);
         let parted = log(&jumped);
-        assert_eq!((at(&parted, 0.95), parted.jumps().collect::<Vec<_>>()), (Err(Lost::Jump), vec![12]));
+        assert_eq!(
+            (at(&parted, 0.95), parted.jumps().collect::<Vec<_>>()),
+            (Err(MotionUnknown::Jump), vec![12])
+        );
         assert_eq!([0.5, 1.5].map(|t| at(&parted, t).unwrap().piece), [0, 1]);
         assert_eq!(log(&even).jumps().count(), 0);
         // The rows on both sides of it are known.

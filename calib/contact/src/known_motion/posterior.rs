@@ -2,7 +2,7 @@
 
 use super::contact_path::{ContactPath, State};
 use super::likelihood::{Likelihood, moved};
-use super::{Place, Settings};
+use super::{EpisodeContact, Settings};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2, Vector3};
 use std::cell::OnceCell;
 use wcal_core::least_squares::{Damping, Linearised, NormalEquations, minimise};
@@ -338,12 +338,18 @@ impl Posterior {
     }
 
     /// Mean and covariance of the point's place at every reading, with the direction of the push taken from `path`.
-    pub(crate) fn places(&self, path: &ContactPath<'_>, is_gross: impl Fn(usize) -> bool) -> Vec<Place> {
-        (0..path.rows.len()).map(|row| Place { gross: is_gross(row), ..self.place(path, row) }).collect()
+    pub(crate) fn places(
+        &self,
+        path: &ContactPath<'_>,
+        is_gross: impl Fn(usize) -> bool,
+    ) -> Vec<EpisodeContact> {
+        (0..path.rows.len())
+            .map(|row| EpisodeContact { outlier: is_gross(row), ..self.place(path, row) })
+            .collect()
     }
 
     /// The same at one reading; whether it was treated as an outlier is not known here.
-    pub(crate) fn place(&self, path: &ContactPath<'_>, row: usize) -> Place {
+    pub(crate) fn place(&self, path: &ContactPath<'_>, row: usize) -> EpisodeContact {
         let (mut mean, mut square, mut contact) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
         let mut total = 0.0;
         for n in self.nodes.iter().filter(|n| n.mass > 1e-9) {
@@ -359,15 +365,20 @@ impl Posterior {
             total += n.mass;
         }
         if total <= 0.0 {
-            return Place { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, gross: false };
+            return EpisodeContact {
+                place_mm: None,
+                covariance_mm2: Matrix3::zeros(),
+                contact: 0.0,
+                outlier: false,
+            };
         }
         let mean = mean / total;
         let motion = Matrix3::identity() * path.rows[row].moved_sd_mm.powi(2);
-        Place {
+        EpisodeContact {
             place_mm: Some(mean),
             covariance_mm2: square / total - mean * mean.transpose() + motion,
             contact: contact / total,
-            gross: false,
+            outlier: false,
         }
     }
 }

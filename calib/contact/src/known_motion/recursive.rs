@@ -29,7 +29,7 @@ mod node;
 
 use super::contact_path::{BEFORE_MM, ContactPath, loaded};
 use super::posterior::{self, SCAN_MM};
-use super::{Innovations, MomentField, MotionRow, Place, Posterior, Settings};
+use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings};
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use node::{NodeFilter, Reading};
 
@@ -212,12 +212,12 @@ impl RecursivePosterior {
 
     /// Where the wire is held at a reading that was taken, and the posterior.
     #[must_use]
-    pub fn place(&self, field: &MomentField, row: &MotionRow) -> (Place, Posterior) {
+    pub fn place(&self, field: &MomentField, row: &MotionRow) -> (EpisodeContact, Posterior) {
         let posterior = self.posterior();
         let motion = motion_since(&self.reference, row);
         let path = ContactPath::of_reading(field, row, self.push, motion);
-        let gross = self.best().is_some_and(|n| n.last_gross > 0.5);
-        (Place { gross, ..posterior.place(&path, 0) }, posterior)
+        let outlier = self.best().is_some_and(|n| n.last_outlier > 0.5);
+        (EpisodeContact { outlier, ..posterior.place(&path, 0) }, posterior)
     }
 
     /// The posterior over arc length, onset and gap.
@@ -239,7 +239,7 @@ impl RecursivePosterior {
             plain: n.chi2[0],
             robust: n.chi2[1],
             dof,
-            gross: n.gross.round() as usize,
+            outlier: n.outlier.round() as usize,
             rows,
         })
     }

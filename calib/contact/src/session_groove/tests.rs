@@ -9,7 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 use wcal_calibration::WhiskerCalibration;
 use wcal_core::SessionData;
 use wcal_core::verify_document::Verdict;
-use wcal_plant::case::{Make, Request, Want};
+use wcal_plant::case::{CaseKind, Make, Request};
 use wcal_plant::session::draw_under;
 use wcal_plant::{Design, Kind, Noise};
 use wcal_trace::verify::VerifyOptions;
@@ -19,12 +19,12 @@ use wcal_trace::whisker::{PhysicalModel, Verified, WhiskerVerification, verify_w
 const LEVEL: f64 = 0.01;
 
 /// The loop's result on a drawn session with white noise.
-fn verified(seed: u64, design: Design, want: Want) -> WhiskerVerification {
+fn verified(seed: u64, design: Design, want: CaseKind) -> WhiskerVerification {
     verified_under(seed, design, want, Noise::Gaussian)
 }
 
 /// The same with noise of a kind.
-fn verified_under(seed: u64, design: Design, want: Want, noise: Noise) -> WhiskerVerification {
+fn verified_under(seed: u64, design: Design, want: CaseKind, noise: Noise) -> WhiskerVerification {
     let request = Request { seed, design, want, target_sigma: 20.0, rivals: false };
     let case = draw_under(&request, noise, Make::Usual).unwrap();
     let folder = tempfile::tempdir().unwrap();
@@ -59,7 +59,7 @@ fn exact(motion: &mut GrooveMotion) {
     motion.changed.clear();
     for r in &mut motion.readings {
         r.shared_nmm.clear();
-        r.shared_way_mm.clear();
+        r.shared_displacement_mm.clear();
     }
 }
 
@@ -97,11 +97,11 @@ fn said(compared: &[Compared]) -> String {
 fn regions_hold_and_errors_are_at_the_bound_with_fitted_calibrations() {
     let mut all = Vec::new();
     for seed in 0..8 {
-        let done = verified(seed, Design::Paper, Want::Null);
+        let done = verified(seed, Design::Paper, CaseKind::Null);
         assert_eq!(done.document.verdict, Verdict::Adequate, "{seed}");
         all.extend(tracked(&done, &done.model, |_| ()));
     }
-    assert!(all.len() >= 40 && at_most(held(&all), all.len(), REGION) > LEVEL, "{}", said(&all));
+    assert!(all.len() >= 40 && binomial_cdf(held(&all), all.len(), REGION) > LEVEL, "{}", said(&all));
     // The median, since the bound is one for small errors and a shallow press has a few large ones.
     let mut ratios: Vec<f64> = all.iter().map(|c| c.error_mm / c.bound_mm).collect();
     ratios.sort_by(f64::total_cmp);
@@ -112,10 +112,10 @@ fn regions_hold_and_errors_are_at_the_bound_with_fitted_calibrations() {
 
 #[test]
 fn regions_hold_with_an_effect_that_the_loop_repaired() {
-    let done = verified(300, Design::Rich, Want::Effects(vec![Kind::FbgThree]));
+    let done = verified(300, Design::Rich, CaseKind::Effects(vec![Kind::FbgThree]));
     assert_eq!(done.document.verdict, Verdict::Effect);
     let found = tracked(&done, &done.model, |_| ());
-    assert!(at_most(held(&found), found.len(), REGION) > LEVEL, "{}", said(&found));
+    assert!(binomial_cdf(held(&found), found.len(), REGION) > LEVEL, "{}", said(&found));
 }
 
 /// With the map's error as large as the noise it is seen whether the regions know of it; control: without it they hold too little.
@@ -124,15 +124,15 @@ fn the_error_of_the_map_is_in_the_regions() {
     const TIMES: f64 = 5.0;
     let (mut with, mut without) = (Vec::new(), Vec::new());
     for seed in 20..22 {
-        let done = verified(seed, Design::Paper, Want::Null);
+        let done = verified(seed, Design::Paper, CaseKind::Null);
         for draw in 0..4 {
             let model = less_certain(&done.model, TIMES, draw);
             with.extend(tracked(&done, &model, |_| ()));
             without.extend(tracked(&done, &model, exact));
         }
     }
-    assert!(at_most(held(&with), with.len(), REGION) > LEVEL, "{}", said(&with));
-    assert!(at_most(held(&without), without.len(), REGION) < 1e-4, "{}", said(&without));
+    assert!(binomial_cdf(held(&with), with.len(), REGION) > LEVEL, "{}", said(&with));
+    assert!(binomial_cdf(held(&without), without.len(), REGION) < 1e-4, "{}", said(&without));
 }
 
 /// Drift that the session shows is in the regions; control: taken for white noise they hold too little. Readings that it displaces together
@@ -141,7 +141,7 @@ fn the_error_of_the_map_is_in_the_regions() {
 fn noise_that_is_correlated_in_time_is_in_the_regions() {
     let (mut with, mut without, mut sessions) = (Vec::new(), Vec::new(), 0);
     for seed in 1_000_005..1_000_016 {
-        let done = verified_under(seed, Design::Paper, Want::Null, Noise::Drift);
+        let done = verified_under(seed, Design::Paper, CaseKind::Null, Noise::Drift);
         let shown = done.model.correlated_noise.is_some();
         if done.document.verdict != Verdict::Adequate || !shown {
             continue;
@@ -152,14 +152,14 @@ fn noise_that_is_correlated_in_time_is_in_the_regions() {
         without.extend(tracked(&done, &white, |_| ()));
     }
     assert!(sessions >= 5, "{sessions} sessions show their drift");
-    assert!(at_most(held(&with), with.len(), REGION) > LEVEL, "{}", said(&with));
-    assert!(at_most(held(&without), without.len(), REGION) < 1e-4, "{}", said(&without));
+    assert!(binomial_cdf(held(&with), with.len(), REGION) > LEVEL, "{}", said(&with));
+    assert!(binomial_cdf(held(&without), without.len(), REGION) < 1e-4, "{}", said(&without));
 }
 
 #[test]
 fn the_groove_is_elsewhere_only_where_regions_and_bound_say_so() {
     let of = |held: usize, rmse_mm: f64| {
-        misstated(&GrooveTracking {
+        coverage_rejected(&GrooveTracking {
             rmse_mm,
             bound_mm: 0.5,
             coverage95: held as f64 / 9.0,

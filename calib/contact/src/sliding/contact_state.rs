@@ -19,9 +19,9 @@ use wcal_rod::{DiscreteRod, RodError, Section, Shape};
 pub(super) const STATE: usize = 5;
 /// See the module: (q, f, phi, a, c).
 pub(super) type State = SVector<f64, STATE>;
-/// Numbers of a [`Shown`].
+/// Numbers of a [`ContactQuantities`].
 const SHOWN: usize = 18;
-/// Derivative of a [`Shown`] by its state.
+/// Derivative of a [`ContactQuantities`] by its state.
 pub(super) type Rates = SMatrix<f64, SHOWN, STATE>;
 
 /// Tilt of the normal at the tip for one radian, mm of q.
@@ -40,9 +40,9 @@ const FOLD_STEPS: i32 = 14;
 
 /// What a contact shows, base frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Shown(pub SVector<f64, SHOWN>);
+pub(super) struct ContactQuantities(pub SVector<f64, SHOWN>);
 
-impl Shown {
+impl ContactQuantities {
     fn vector(&self, at: usize) -> Vector3<f64> {
         self.0.fixed_rows::<3>(at).into()
     }
@@ -119,7 +119,7 @@ impl TouchedWire {
     }
 
     /// What a contact shows.
-    pub(super) fn show(&self, x: &State) -> Shown {
+    pub(super) fn show(&self, x: &State) -> ContactQuantities {
         let [q, f, phi, a, c] = [x[0], x[1], x[2], x[3], x[4]];
         let s = q.clamp(0.0, self.length_mm);
         let (sin_tilt, cos_tilt) = ((q - self.length_mm).max(0.0) / TIP_MM).sin_cos();
@@ -146,11 +146,11 @@ impl TouchedWire {
             y.fixed_rows_mut::<3>(at).copy_from(&v);
         }
         y[17] = s;
-        Shown(y)
+        ContactQuantities(y)
     }
 
     /// The same with its derivative, by forward differences.
-    pub(super) fn rates(&self, x: &State) -> (Shown, Rates) {
+    pub(super) fn rates(&self, x: &State) -> (ContactQuantities, Rates) {
         let y = self.show(x);
         let mut rates = Rates::zeros();
         for (k, step) in STEPS.into_iter().enumerate() {
@@ -164,7 +164,7 @@ impl TouchedWire {
     }
 
     /// Axis of the wire at the contact, mm.
-    pub(super) fn axis_mm(&self, y: &Shown) -> Vector3<f64> {
+    pub(super) fn axis_mm(&self, y: &ContactQuantities) -> Vector3<f64> {
         y.point_mm() + y.normal() * self.rod.radius_mm
     }
 

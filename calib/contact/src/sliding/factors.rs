@@ -18,7 +18,7 @@
 //! straight cantilever), while it falls it grows. So each end of a contact is found from its middle and from how fast the load grows there.
 
 use super::banded::Normal;
-use super::contact_state::{Rates, STATE, Shown, State, TouchedWire};
+use super::contact_state::{ContactQuantities, Rates, STATE, State, TouchedWire};
 use crate::known_motion::MotionRow;
 use nalgebra::{DVector, Matrix2, Vector2, Vector3};
 
@@ -65,7 +65,7 @@ pub(super) const KINDS: [Kind; 7] =
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Local {
     pub x: State,
-    pub y: Shown,
+    pub y: ContactQuantities,
 }
 
 /// Residuals of a contact's readings.
@@ -208,7 +208,7 @@ impl<'a> Chain<'a> {
 
     /// How far the contact lies from the free wire, over how far it may lie there at first touch or at the end: a step of the motion, and what
     /// the noise hides.
-    pub fn deflection(&self, k: usize, x: &State, y: &Shown) -> f64 {
+    pub fn deflection(&self, k: usize, x: &State, y: &ContactQuantities) -> f64 {
         let mut light = *x;
         light[1] = 0.0;
         let row = &self.rows[k];
@@ -255,7 +255,8 @@ impl<'a> Chain<'a> {
         let (y, mut rates) = self.wire.rates(x);
         for k in 0..STATE {
             // Differences turn with the object, but do not move with it.
-            let seen = Shown(rates.column(k).into_owned()).on_object(&row.turn, &Vector3::zeros());
+            let seen =
+                ContactQuantities(rates.column(k).into_owned()).on_object(&row.turn, &Vector3::zeros());
             rates.set_column(k, &seen.0);
         }
         (Local { x: *x, y: y.on_object(&row.turn, &row.moved_mm) }, rates)

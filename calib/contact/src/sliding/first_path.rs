@@ -8,7 +8,7 @@
 //!
 //! where the force does not jump (that is another branch of equilibria); e with the noise of the moments, moved along the normal by the compliance s^2 / (3 E I), and half a node.
 
-use super::contact_state::{Shown, State, TIP_MM};
+use super::contact_state::{ContactQuantities, State, TIP_MM};
 use super::factors::Chain;
 use nalgebra::Vector2;
 use std::f64::consts::TAU;
@@ -28,7 +28,7 @@ const MAX_JUMP: f64 = 0.2;
 const STEP_SD_MM: f64 = 0.02;
 
 /// A node at a reading: none where no force gives the moments.
-type Candidate = Option<(State, Shown)>;
+type Candidate = Option<(State, ContactQuantities)>;
 
 /// The nodes' places, mm.
 fn places(length_mm: f64) -> Vec<f64> {

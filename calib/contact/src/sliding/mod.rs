@@ -38,7 +38,7 @@ pub use contact_state::TouchedWire;
 
 use crate::arc::arclength_regions;
 use crate::known_motion::contact_path::loaded;
-use crate::known_motion::{MotionRow, Place, Region};
+use crate::known_motion::{EpisodeContact, MotionRow, Region};
 use blocks::blocks;
 use factors::Chain;
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -71,7 +71,7 @@ const NODE_MM: f64 = 0.1;
 #[derive(Debug, Clone, PartialEq)]
 pub struct SlidingContact {
     /// Places, one a reading.
-    pub places: Vec<Place>,
+    pub places: Vec<EpisodeContact>,
     /// 95 % regions along the wire, one list a reading.
     pub regions: Vec<Vec<Region>>,
     /// Log likelihood of the best hypothesis, up to a constant.
@@ -128,8 +128,8 @@ fn turns_back(rows: &[MotionRow]) -> bool {
     })
 }
 
-fn free() -> Place {
-    Place { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, gross: false }
+fn free() -> EpisodeContact {
+    EpisodeContact { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, outlier: false }
 }
 
 /// A hypothesis with its weight and its posterior.
@@ -224,7 +224,7 @@ fn between(blocks: &[BlockPosterior], k: usize, share: f64) -> BlockPosterior {
 }
 
 /// Mean and covariance over the hypotheses, base frame; `lost_mm2` is added where the contact may be lost.
-fn place(each: &[(f64, BlockPosterior)], row: &MotionRow, lost_mm2: f64) -> Place {
+fn place(each: &[(f64, BlockPosterior)], row: &MotionRow, lost_mm2: f64) -> EpisodeContact {
     let total: f64 = each.iter().map(|e| e.0).sum();
     let mean: Vector3<f64> = each.iter().map(|(w, b)| b.axis_mm * (w / total)).sum();
     let mut covariance = Matrix3::identity() * (MODEL_SD_MM * MODEL_SD_MM + lost_mm2);
@@ -233,11 +233,11 @@ fn place(each: &[(f64, BlockPosterior)], row: &MotionRow, lost_mm2: f64) -> Plac
         covariance += (b.covariance_mm2 + off * off.transpose()) * (w / total);
     }
     let turn = row.turn.matrix();
-    Place {
+    EpisodeContact {
         place_mm: Some(row.turn * mean + row.moved_mm),
         covariance_mm2: turn * covariance * turn.transpose(),
         contact: 1.0,
-        gross: false,
+        outlier: false,
     }
 }
 

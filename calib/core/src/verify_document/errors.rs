@@ -41,7 +41,7 @@ pub struct MapLeftOut {
 
 /// What is lost without one accepted effect, the others refitted.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct EffectLeftOut {
+pub struct EffectAblation {
     /// Effect.
     pub id: String,
     /// Root mean square of what the fit leaves, over that with the effect.

@@ -1,6 +1,6 @@
 //! The tracker on the virtual real bench, and what each part of it buys there.
 
-use super::{Maker, Meshes, SeriesByObject};
+use super::{BenchEvaluator, Meshes, SeriesByObject};
 use crate::document::{AblationRow, BySet, NoiseRow, VirtualReal, coverage90, intervals, mean};
 use crate::document::{Means, both_means};
 use crate::error::EvaluateError;
@@ -18,7 +18,7 @@ use wcal_track::{SweepSeries, Tracker};
 /// Time of the released cable, joint damping 0.005 N m s/rad over the stiffness of a joint, s.
 const DAMPING_S: f64 = 0.24;
 
-impl Maker<'_> {
+impl BenchEvaluator<'_> {
     pub(super) fn sweeps_on_bench(
         &self,
         bench: &VirtualBench,

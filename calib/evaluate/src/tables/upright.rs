@@ -1,6 +1,6 @@
 //! Table I as the paper draws it: objects upright, four faces in turn, sweeps with a contact jump left out.
 
-use super::{Maker, Meshes, RATE_HZ, SeriesByObject};
+use super::{BenchEvaluator, Meshes, RATE_HZ, SeriesByObject};
 use crate::document::{Faces, Means, MethodRow};
 use crate::error::EvaluateError;
 use wcal_sim::{SweepPlan, Turn};
@@ -22,7 +22,7 @@ pub fn sweeps_each(sweeps_each: usize, quick: bool) -> [usize; 2] {
     [if quick { fewer } else { UPRIGHT * fewer }, fewer]
 }
 
-impl Maker<'_> {
+impl BenchEvaluator<'_> {
     /// A few lost sweeps make most of the error: there are `UPRIGHT` times as many as of the others, but where the speed is not known. Steps
     /// are short: long ones hide small jumps.
     pub(super) fn upright(&self, seen: &Meshes, unseen: &Meshes) -> Result<Faces, EvaluateError> {

@@ -5,7 +5,7 @@ use mujoco_rs::prelude::*;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 use std::sync::Once;
-use wcal_mujoco::engine::protocol::{Frame, Loaded, Reply, Request, Series, Touching};
+use wcal_mujoco::engine::protocol::{Frame, LoadedModel, Reply, Request, Series, Touching};
 use wcal_sim::physics::FluidLoads;
 
 /// What is loaded, and what is known of it.
@@ -61,9 +61,9 @@ impl World {
         if let Request::Load { xml, cable_plugin } = request {
             let model = Model::load(xml, *cable_plugin)?;
             let loaded =
-                Loaded { freedoms: model.data.qvel().len(), step_s: model.data.model_opt().timestep };
+                LoadedModel { freedoms: model.data.qvel().len(), step_s: model.data.model_opt().timestep };
             self.loaded = Some(model);
-            return Ok(Reply::Loaded(loaded));
+            return Ok(Reply::LoadedModel(loaded));
         }
         let model = self.loaded.as_mut().ok_or("expected a model to be loaded first")?;
         model.answer(request)

@@ -103,7 +103,7 @@ pub enum Reply {
         mujoco: String,
     },
     /// A model is loaded.
-    Loaded(Loaded),
+    LoadedModel(LoadedModel),
     /// State after the steps.
     Frame(Frame),
     /// Base moment over time.
@@ -122,7 +122,7 @@ pub enum Reply {
 
 /// A loaded model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Loaded {
+pub struct LoadedModel {
     /// Degrees of freedom.
     pub freedoms: usize,
     /// Step, s.

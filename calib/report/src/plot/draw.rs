@@ -69,7 +69,7 @@ const WORD_LINE: f64 = 12.0;
 const WORD_LINES: usize = 3;
 
 /// A word at a vertical line.
-struct Word<'a> {
+struct LineLabel<'a> {
     text: &'a str,
     x: f64,
     /// Line above the frame, the lowest first.
@@ -77,7 +77,7 @@ struct Word<'a> {
 }
 
 /// Places of the words, none over another.
-fn words<'a>(frame: &Frame<'a>) -> Vec<Word<'a>> {
+fn words<'a>(frame: &Frame<'a>) -> Vec<LineLabel<'a>> {
     let mut rules: Vec<(f64, &str)> = Vec::new();
     for layer in &frame.plot.layers {
         if let Layer::VerticalRule { at, label } = layer
@@ -94,7 +94,7 @@ fn words<'a>(frame: &Frame<'a>) -> Vec<Word<'a>> {
         let x = (x + 2.0).min(frame.plot.width - text_width(text));
         let Some(line) = ends.iter().position(|end| *end + 4.0 <= x) else { continue };
         ends[line] = x + text_width(text);
-        words.push(Word { text, x, line });
+        words.push(LineLabel { text, x, line });
     }
     words
 }

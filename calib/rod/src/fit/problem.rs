@@ -52,21 +52,21 @@ impl<'a> Problem<'a> {
         Some(DMatrix::from_columns(&columns?))
     }
 
-    fn at(self, v: &DVector<f64>) -> Option<AtPlace<'a>> {
+    fn at(self, v: &DVector<f64>) -> Option<FitPoint<'a>> {
         let residuals = self.residuals(v)?;
-        Some(AtPlace { problem: self, values: v.clone(), residuals, normal: OnceCell::new() })
+        Some(FitPoint { problem: self, values: v.clone(), residuals, normal: OnceCell::new() })
     }
 }
 
 /// Residuals at a place; the Jacobian, which costs two solutions an unknown, only where a step starts from it.
-struct AtPlace<'a> {
+struct FitPoint<'a> {
     problem: Problem<'a>,
     values: DVector<f64>,
     residuals: DVector<f64>,
     normal: OnceCell<Option<NormalEquations<Dyn>>>,
 }
 
-impl Linearised for AtPlace<'_> {
+impl Linearised for FitPoint<'_> {
     type Step = DVector<f64>;
 
     fn cost(&self) -> f64 {

@@ -11,7 +11,7 @@ use crate::kirchhoff::solve::{Equilibrium, Guess, Rod, Tangential};
 use nalgebra::Vector3;
 
 /// An equilibrium with the smallest eigenvalue of its second variation, N: above 0 it is stable.
-pub type Held = (Equilibrium, f64);
+pub type StableEquilibrium = (Equilibrium, f64);
 
 /// Places of the contact that are tried, directions of the force about each of two angles, and sizes of the force over EI / length^2.
 const PLACES: usize = 10;
@@ -25,12 +25,12 @@ const SAME_SHARE: f64 = 1e-4;
 impl Rod {
     /// The equilibria in a frictionless groove at `point_mm`, by the contact's arc length.
     #[must_use]
-    pub fn equilibria(&self, point_mm: &Vector3<f64>) -> Vec<Held> {
+    pub fn equilibria(&self, point_mm: &Vector3<f64>) -> Vec<StableEquilibrium> {
         let length_mm = self.shape.length_mm;
         // The wire reaches the place at the earliest by a straight line.
         let nearest_mm = point_mm.norm();
         let unit_n = self.section.ei_nmm2 / length_mm.powi(2);
-        let mut found: Vec<Held> = Vec::new();
+        let mut found: Vec<StableEquilibrium> = Vec::new();
         for place in 0..PLACES {
             let arclength_mm = nearest_mm + (length_mm - nearest_mm) * (place as f64 + 0.5) / PLACES as f64;
             for turn in 0..TURNS {
@@ -41,7 +41,7 @@ impl Rod {
                     for size in SIZES {
                         let guess = Guess { force_n: direction * (size * unit_n), arclength_mm };
                         let Ok(e) = self.solve(point_mm, &guess, Tangential::Frictionless) else { continue };
-                        let same = |(k, _): &Held| {
+                        let same = |(k, _): &StableEquilibrium| {
                             (k.arclength_mm - e.arclength_mm).abs() < SAME_MM
                                 && (k.moment_nmm - e.moment_nmm).norm()
                                     < SAME_SHARE * (1e-3 + e.moment_nmm.norm())

@@ -92,7 +92,7 @@ mod tests {
             raw_design: columns.clone(),
             raw_residual: DMatrix::from_column_slice(n, 1, residual.as_slice()),
             raw_tangents: Vec::new(),
-            witness: DVector::zeros(0),
+            auxiliary_residual: DVector::zeros(0),
             witness_tangents: Vec::new(),
             witness_readings: Arc::default(),
             witness_count: 0,

@@ -25,7 +25,7 @@ pub struct CovariateSignature {
 /// Terms of generic signatures are never refitted; this marks them.
 const GENERIC: usize = usize::MAX;
 
-struct Maker<'a> {
+struct CovariateBuilder<'a> {
     channels: usize,
     fit: &'a Fit,
     weights: &'a Weights,
@@ -33,7 +33,7 @@ struct Maker<'a> {
     out: Vec<CovariateSignature>,
 }
 
-impl Maker<'_> {
+impl CovariateBuilder<'_> {
     /// `columns` free in every channel.
     fn add(&mut self, covariate: &str, shape: &'static str, period: Option<f64>, columns: &[Vec<f64>]) {
         let mut raw: Vec<DVector<f64>> = Vec::new();
@@ -95,7 +95,7 @@ pub fn signatures_of_covariates(
     nuisance: &Basis,
 ) -> Vec<CovariateSignature> {
     let channels = fit.residual.ncols();
-    let mut maker = Maker { channels, fit, weights, nuisance, out: Vec::new() };
+    let mut maker = CovariateBuilder { channels, fit, weights, nuisance, out: Vec::new() };
     let mut covariates = system.covariates();
     if channels > 1 {
         // Wavelengths as the model has them: measured ones carry the very noise that is tested.

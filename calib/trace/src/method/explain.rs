@@ -15,7 +15,7 @@ use super::earned::earned;
 use super::fit::{Weights, fit};
 use super::hypothesis::{Hypothesis, SearchResult};
 use super::min_p::{MinPDistribution, f_test};
-use super::noise::{MeanModel, Misfit, Noise, NoiseInputs, Sought, best_misfit, estimate};
+use super::noise::{MeanModel, Misfit, Noise, NoiseInputs, NoiseTerms, best_misfit, estimate};
 use super::omnibus::{COVARIATE_LEVEL, CovariateScore, OmnibusTest, omnibus_test};
 use super::options::Options;
 use super::search::{declared, search};
@@ -49,34 +49,34 @@ const MAX_LEAD: f64 = 300.0;
 /// only where a verdict could rest on it.
 #[must_use]
 pub fn noise_for_predictions(system: &dyn MeasurementModel, h: &Hypothesis, seed: u64) -> Option<Noise> {
-    let judge = Judge { sought: Sought::SUSPECTED, ..Judge::new(system, seed) };
+    let judge = NoiseEstimator { noise_terms: NoiseTerms::SUSPECTED, ..NoiseEstimator::new(system, seed) };
     Some(judge.noise(h, &[])?.0)
 }
 
 /// Estimates the noise of an explanation's residuals.
-pub struct Judge<'a> {
+pub struct NoiseEstimator<'a> {
     system: &'a dyn MeasurementModel,
     inputs: NoiseInputs,
-    sought: Sought,
+    noise_terms: NoiseTerms,
     seed: u64,
 }
 
-impl<'a> Judge<'a> {
+impl<'a> NoiseEstimator<'a> {
     /// For a session.
     #[must_use]
     pub fn new(system: &'a dyn MeasurementModel, seed: u64) -> Self {
-        Self { system, inputs: system.noise_inputs(), sought: Sought::ALL, seed }
+        Self { system, inputs: system.noise_inputs(), noise_terms: NoiseTerms::ALL, seed }
     }
 
     /// Noise of the residuals of `h`, with further columns where there are some, and how well the model can do under any noise.
     #[must_use]
     pub fn noise(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<(Noise, Misfit)> {
         let model = MeanModel::of(&h.fit).with(columns);
-        let noise = estimate(&model, &self.inputs, &h.weights, self.sought, self.seed)?;
+        let noise = estimate(&model, &self.inputs, &h.weights, self.noise_terms, self.seed)?;
         let mut m = best_misfit(&model, &self.inputs, &noise)?;
         // The second witness's covariance is known: its part of -2 log L is its sum of squares.
         let seen = h.fit.witness_count as f64;
-        m.plain += h.fit.witness.norm_squared() / self.system.witness_variance();
+        m.plain += h.fit.auxiliary_residual.norm_squared() / self.system.witness_variance();
         (m.values, m.dof) = (m.values + seen, m.dof + seen);
         Some((noise, m))
     }
@@ -183,7 +183,7 @@ fn within_model_error(system: &dyn MeasurementModel, found: &mut SearchResult, o
 
 /// Runs the search under the noise that the readings themselves show.
 pub fn explain(system: &dyn MeasurementModel, options: &Options) -> Option<Explained> {
-    let mut judge = Judge::new(system, options.seed);
+    let mut judge = NoiseEstimator::new(system, options.seed);
     let mut weights = Weights::independent(judge.inputs.own(0.0));
     let base = declared(system, &weights, options.seed)?;
     let declared_noise = judge.noise(&base, &[])?.0;
@@ -199,14 +199,14 @@ pub fn explain(system: &dyn MeasurementModel, options: &Options) -> Option<Expla
     for _ in 1..MAX_SEARCHES {
         // Neighbours share something: whether it is noise or an effect is the question, not whether it is there.
         if found.last_test.generic() {
-            judge.sought = Sought::SUSPECTED;
+            judge.noise_terms = NoiseTerms::SUSPECTED;
         }
         // A model that is degenerate under another noise is judged under the one that it was found with.
         let kept = judge.confirmed(&found).unwrap_or_else(|| found.best.clone());
         let Some((noise, _)) = judge.noise(&kept, &[]) else { break };
         let dropped = kept.fit.terms.len() < found.best.fit.terms.len();
         let tails_dof = noise.tails.filter(|t| t.heavy).map(|t| t.dof);
-        let retail = tails_dof.is_some() && options.tails_dof.is_none() && found.something_left_or_found();
+        let retail = tails_dof.is_some() && options.tails_dof.is_none() && found.is_inadequate();
         if !dropped && !retail && alike(&noise.weights, &weights) {
             break;
         }

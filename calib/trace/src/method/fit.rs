@@ -54,7 +54,7 @@ pub struct Fit {
     /// The same as they are, not whitened.
     pub raw_tangents: Vec<DMatrix<f64>>,
     /// What the second witness leaves, whitened; empty without one.
-    pub witness: DVector<f64>,
+    pub auxiliary_residual: DVector<f64>,
     /// Tangents of its prediction by each nonlinear parameter, whitened.
     pub witness_tangents: Vec<DVector<f64>>,
     /// Reading of each of its values.
@@ -89,7 +89,7 @@ impl Fit {
     /// The whole whitened residual: readings channel by channel, then the second witness.
     #[must_use]
     pub fn stacked(&self) -> DVector<f64> {
-        stack_with(&self.residual, &self.witness)
+        stack_with(&self.residual, &self.auxiliary_residual)
     }
 
     /// Tangents in the same order.
@@ -101,7 +101,7 @@ impl Fit {
     /// A column of the readings in channel `channel`, zero elsewhere, in the same order.
     #[must_use]
     pub fn in_channel(&self, column: &[f64], channel: usize) -> DVector<f64> {
-        let mut v = DVector::zeros(self.residual.len() + self.witness.len());
+        let mut v = DVector::zeros(self.residual.len() + self.auxiliary_residual.len());
         v.rows_mut(channel * column.len(), column.len()).copy_from_slice(column);
         v
     }
@@ -111,9 +111,10 @@ impl Fit {
     pub fn directions_of(&self, i: usize) -> Vec<DVector<f64>> {
         let (n, size) = (self.residual.nrows(), self.residual.len());
         let own = (0..self.residual.ncols()).map(|c| c * n + i);
-        let seen = (0..self.witness.len()).filter(|k| self.witness_readings[*k] == i).map(|k| size + k);
+        let seen =
+            (0..self.auxiliary_residual.len()).filter(|k| self.witness_readings[*k] == i).map(|k| size + k);
         let one = |at: usize| {
-            let mut v = DVector::zeros(size + self.witness.len());
+            let mut v = DVector::zeros(size + self.auxiliary_residual.len());
             v[at] = 1.0;
             v
         };
@@ -162,7 +163,7 @@ struct Evaluation {
     design: DMatrix<f64>,
     coefficients: DMatrix<f64>,
     residual: DMatrix<f64>,
-    witness: DVector<f64>,
+    auxiliary_residual: DVector<f64>,
     ssr: f64,
     full_rank: bool,
 }
@@ -176,9 +177,17 @@ fn evaluate(
     let raw = system.design(terms)?;
     let design = weights.apply(&raw);
     let (coefficients, residual, full_rank) = linear(&design, y);
-    let witness = system.witness(terms, weights)?;
-    let ssr = residual.norm_squared() + witness.norm_squared();
-    ssr.is_finite().then_some(Evaluation { raw, design, coefficients, residual, witness, ssr, full_rank })
+    let auxiliary_residual = system.auxiliary_residual(terms, weights)?;
+    let ssr = residual.norm_squared() + auxiliary_residual.norm_squared();
+    ssr.is_finite().then_some(Evaluation {
+        raw,
+        design,
+        coefficients,
+        residual,
+        auxiliary_residual,
+        ssr,
+        full_rank,
+    })
 }
 
 /// (term, value) of every nonlinear parameter in order.
@@ -206,7 +215,7 @@ fn tangents(
     weights: &Weights,
     here: &Evaluation,
 ) -> Option<Vec<Tangent>> {
-    let at = |terms: &[EffectTerm]| Some((system.design(terms)?, system.witness(terms, weights)?));
+    let at = |terms: &[EffectTerm]| Some((system.design(terms)?, system.auxiliary_residual(terms, weights)?));
     slots(terms)
         .iter()
         .map(|&(t, k)| {
@@ -217,7 +226,7 @@ fn tangents(
             }
             let mut moved = terms.to_vec();
             moved[t].values[k] += h;
-            let (design, witness) = match at(&moved) {
+            let (design, auxiliary_residual) = match at(&moved) {
                 Some(found) => found,
                 None => {
                     h = -h;
@@ -226,7 +235,10 @@ fn tangents(
                 }
             };
             // A residual falls by what its prediction gains.
-            Some(((design - &here.raw) * &here.coefficients / h, (&here.witness - witness) / h))
+            Some((
+                (design - &here.raw) * &here.coefficients / h,
+                (&here.auxiliary_residual - auxiliary_residual) / h,
+            ))
         })
         .collect()
 }
@@ -242,7 +254,7 @@ fn range(system: &dyn MeasurementModel, terms: &[EffectTerm], (t, k): (usize, us
 }
 
 /// The problem at given nonlinear values.
-struct Place<'a> {
+struct FitPoint<'a> {
     system: &'a dyn MeasurementModel,
     weights: &'a Weights,
     terms: Vec<EffectTerm>,
@@ -251,14 +263,14 @@ struct Place<'a> {
     linearised: OnceCell<Option<(Vec<Tangent>, BoundedNormalEquations)>>,
 }
 
-impl Place<'_> {
+impl FitPoint<'_> {
     fn linearised(&self) -> Option<&(Vec<Tangent>, BoundedNormalEquations)> {
         let make = || {
             let tangents = tangents(self.system, &self.terms, self.weights, &self.here)?;
             let off =
                 |(t, w): &Tangent| stack_with(&off_design(&self.here.design, &self.weights.apply(t)), w);
             let columns: Vec<DVector<f64>> = tangents.iter().map(off).collect();
-            let r = stack_with(&self.here.residual, &self.here.witness);
+            let r = stack_with(&self.here.residual, &self.here.auxiliary_residual);
             let m = columns.len();
             // A parameter that moves nothing has a zero column: it stays.
             let free = NormalEquations {
@@ -281,7 +293,7 @@ impl Place<'_> {
     }
 }
 
-impl Linearised for Place<'_> {
+impl Linearised for FitPoint<'_> {
     type Step = DVector<f64>;
 
     fn cost(&self) -> f64 {
@@ -311,9 +323,9 @@ pub fn fit(
     let index = slots(terms);
     let linearise = |terms: &Vec<EffectTerm>| {
         let here = evaluate(system, terms, weights, &y)?;
-        Some(Place { system, weights, terms: terms.clone(), here, linearised: OnceCell::new() })
+        Some(FitPoint { system, weights, terms: terms.clone(), here, linearised: OnceCell::new() })
     };
-    let moved = |terms: &Vec<EffectTerm>, _: &Place<'_>, step: &DVector<f64>| {
+    let moved = |terms: &Vec<EffectTerm>, _: &FitPoint<'_>, step: &DVector<f64>| {
         let mut moved = terms.clone();
         for (&(t, k), d) in index.iter().zip(step.iter()) {
             let [low, high] = range(system, terms, (t, k));
@@ -361,7 +373,7 @@ pub fn fit(
         design: here.design,
         ssr: here.ssr,
         tangents: tangents.iter().map(|(t, _)| weights.apply(t)).collect(),
-        witness: here.witness,
+        auxiliary_residual: here.auxiliary_residual,
         witness_tangents: tangents.iter().map(|(_, w)| w.clone()).collect(),
         witness_readings: seen,
         raw_tangents: tangents.into_iter().map(|(t, _)| t).collect(),

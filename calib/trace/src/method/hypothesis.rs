@@ -190,7 +190,7 @@ impl SearchResult {
 
     /// Something was found or is left: heavier tails would be a reason to look again.
     #[must_use]
-    pub fn something_left_or_found(&self) -> bool {
+    pub fn is_inadequate(&self) -> bool {
         self.left().is_some() || !self.best.fit.terms.is_empty() || !self.best.flagged.is_empty()
     }
 }

@@ -15,7 +15,7 @@ use wcal_core::verify_document::EffectParameter;
 pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
     let (n, q, c) = (fit.design.nrows(), fit.design.ncols(), fit.residual.ncols());
     let m = fit.tangents.len();
-    let mut jacobian = DMatrix::zeros(n * c + fit.witness.len(), q * c + m);
+    let mut jacobian = DMatrix::zeros(n * c + fit.auxiliary_residual.len(), q * c + m);
     for channel in 0..c {
         jacobian.view_mut((channel * n, channel * q), (n, q)).copy_from(&fit.design);
     }

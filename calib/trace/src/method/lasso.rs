@@ -18,7 +18,7 @@ const ZERO_SD: f64 = 1e-3;
 
 /// A effect that the lasso keeps.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Kept {
+pub struct SelectedEffect {
     /// Index in the catalogue.
     pub effect: usize,
     /// Size of its (shrunken) signature, noise standard deviations.
@@ -51,7 +51,7 @@ pub fn group_lasso(
     residual: &DVector<f64>,
     dof: f64,
     sd: f64,
-) -> Option<Vec<Kept>> {
+) -> Option<Vec<SelectedEffect>> {
     let groups = best_of_each(signatures, residual, residual.norm_squared(), dof);
     if groups.is_empty() || !(sd > 0.0) {
         return Some(Vec::new());
@@ -92,7 +92,7 @@ pub fn group_lasso(
         first += group.dimension();
         let size_sd = part.iter().map(|b| b * b).sum::<f64>().sqrt();
         if size_sd > ZERO_SD {
-            kept.push(Kept { effect: group.term.effect, size_sd });
+            kept.push(SelectedEffect { effect: group.term.effect, size_sd });
         }
     }
     kept.sort_by(|a, b| b.size_sd.total_cmp(&a.size_sd));

@@ -149,11 +149,11 @@ pub fn stack(m: &DMatrix<f64>) -> DVector<f64> {
 
 /// Values of the readings, stacked, with those of the second witness below.
 #[must_use]
-pub fn stack_with(readings: &DMatrix<f64>, witness: &DVector<f64>) -> DVector<f64> {
-    let (n, m) = (readings.len(), witness.len());
+pub fn stack_with(readings: &DMatrix<f64>, auxiliary_residual: &DVector<f64>) -> DVector<f64> {
+    let (n, m) = (readings.len(), auxiliary_residual.len());
     let mut v = DVector::zeros(n + m);
     v.rows_mut(0, n).copy_from_slice(readings.as_slice());
-    v.rows_mut(n, m).copy_from(witness);
+    v.rows_mut(n, m).copy_from(auxiliary_residual);
     v
 }
 

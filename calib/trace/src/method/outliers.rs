@@ -15,7 +15,7 @@ use rand::seq::index::sample;
 
 /// A fit without the readings that were flagged.
 #[derive(Debug, Clone)]
-pub struct Cleaned {
+pub struct OutlierRejection {
     /// The refit.
     pub fit: Fit,
     /// Weights with flagged readings at zero.
@@ -61,12 +61,12 @@ fn digits(system: &dyn MeasurementModel, channels: usize) -> Vec<f64> {
 const ONE_DIGIT: f64 = 1.001;
 
 /// Flags readings that no tails explain, refits, and flags anew from all readings until nothing changes. `weights` may hold earlier flags.
-pub fn clean(
+pub fn reject_outliers(
     system: &dyn MeasurementModel,
     terms: &[EffectTerm],
     start: &Fit,
     weights: &Weights,
-) -> Option<Cleaned> {
+) -> Option<OutlierRejection> {
     let (n, channels) = start.residual.shape();
     if n < 12 {
         return None;
@@ -101,7 +101,7 @@ pub fn clean(
         weights = all.masked(|i| !flagged.contains(&i));
         current = fit(system, terms, &weights, 15)?;
     }
-    (!flagged.is_empty() && single(system, &all, &flagged)).then_some(Cleaned {
+    (!flagged.is_empty() && single(system, &all, &flagged)).then_some(OutlierRejection {
         fit: current,
         weights,
         flagged,
@@ -153,7 +153,7 @@ const LARGE: f64 = 5.0;
 
 /// Readings that stand so far out of the declared model that its first fit must not see them.
 #[must_use]
-pub fn gross(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> Vec<usize> {
+pub fn initial_outliers(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> Vec<usize> {
     let Some(raw) = system.design(&[]) else { return Vec::new() };
     let rows: Vec<usize> = (0..weights.len()).filter(|&i| weights.counts(i)).collect();
     let (n, q) = (rows.len(), raw.ncols());

@@ -7,7 +7,7 @@ use super::lasso::group_lasso;
 use super::min_p::f_test;
 use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
 use super::options::Options;
-use super::outliers::{clean, gross};
+use super::outliers::{initial_outliers, reject_outliers};
 use super::progress::progress;
 use super::refine::{refine_level, refit, settle};
 use super::signature::{Signature, nuisance, signatures_of_catalogue};
@@ -59,7 +59,7 @@ fn extend(system: &dyn MeasurementModel, from: &Hypothesis, signatures: &[Signat
         })
         .collect();
     let single = outlier_index(system).filter(|_| from.flagged.is_empty());
-    if let Some(c) = single.and_then(|_| clean(system, &from.fit.terms, &from.fit, &from.weights)) {
+    if let Some(c) = single.and_then(|_| reject_outliers(system, &from.fit.terms, &from.fit, &from.weights)) {
         out.push(Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged, flag_p: c.p_value });
     }
     out
@@ -180,11 +180,11 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         }
         best = settle(system, flag_anew(system, candidate));
         physical[0] = best.clone();
-        level_test = gate_again(system, &best, options, size as u64);
+        level_test = rerun_omnibus(system, &best, options, size as u64);
         if level_test.rejected() && refine_level(system, &base, &mut physical) {
             best = settle(system, flag_anew(system, physical[0].clone()));
             physical[0] = best.clone();
-            level_test = gate_again(system, &best, options, (options.largest + size) as u64);
+            level_test = rerun_omnibus(system, &best, options, (options.largest + size) as u64);
         }
         level = physical.clone();
         final_level = physical;
@@ -193,7 +193,7 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         && let Some(more) = by_cross_check(system, &base, &best, &first_test, options.largest)
     {
         best = flag_anew(system, more);
-        level_test = gate_again(system, &best, options, 2 * options.largest as u64 + 1);
+        level_test = rerun_omnibus(system, &best, options, 2 * options.largest as u64 + 1);
         final_level.retain(|h| h.key(system, outliers) != best.key(system, outliers));
         final_level.insert(0, best.clone());
     }
@@ -323,10 +323,15 @@ fn covariate_wins(base: &Hypothesis, test: &OmnibusTest, best: &Hypothesis, vari
 fn single_readings(system: &dyn MeasurementModel, h: &Hypothesis) -> bool {
     h.flagged.is_empty()
         && outlier_index(system).is_some()
-        && clean(system, &h.fit.terms, &h.fit, &h.weights).is_some()
+        && reject_outliers(system, &h.fit.terms, &h.fit, &h.weights).is_some()
 }
 
-fn gate_again(system: &dyn MeasurementModel, h: &Hypothesis, options: &Options, round: u64) -> OmnibusTest {
+fn rerun_omnibus(
+    system: &dyn MeasurementModel,
+    h: &Hypothesis,
+    options: &Options,
+    round: u64,
+) -> OmnibusTest {
     let seed = options.seed.wrapping_add(round.wrapping_mul(0x9e37));
     omnibus_test(system, &h.fit, &h.weights, &Options { seed, ..*options })
 }
@@ -337,12 +342,13 @@ pub fn declared(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> 
         let fit = fit(system, &[], weights, 15)?;
         Some(Hypothesis { fit, weights: weights.clone(), flagged: Vec::new(), flag_p: 1.0 })
     };
-    let out = if outlier_index(system).is_some() { gross(system, weights, seed) } else { Vec::new() };
+    let out =
+        if outlier_index(system).is_some() { initial_outliers(system, weights, seed) } else { Vec::new() };
     if out.is_empty() {
         return plain(weights);
     }
     let without = plain(&weights.masked(|i| !out.contains(&i)))?;
-    match clean(system, &[], &without.fit, &without.weights) {
+    match reject_outliers(system, &[], &without.fit, &without.weights) {
         Some(c) => Some(Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged, flag_p: c.p_value }),
         None => plain(weights),
     }
@@ -353,7 +359,7 @@ fn flag_anew(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
     if h.flagged.is_empty() {
         return h;
     }
-    match clean(system, &h.fit.terms, &h.fit, &h.weights) {
+    match reject_outliers(system, &h.fit.terms, &h.fit, &h.weights) {
         Some(c) => Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged, flag_p: c.p_value },
         None => {
             let weights = h.weights.unmasked();

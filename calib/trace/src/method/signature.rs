@@ -89,9 +89,9 @@ pub fn signatures_of_effect(
                 let mut terms = fit.terms.clone();
                 terms.push(EffectTerm { effect, law: index, values });
                 let Some(d) = weighted(system, weights, &terms) else { continue };
-                let Some(witness) = system.witness(&terms, weights) else { continue };
+                let Some(auxiliary_residual) = system.auxiliary_residual(&terms, weights) else { continue };
                 let change = (d.columns(0, base) - &fit.design) * &fit.coefficients;
-                raw.push(stack_with(&change, &(&fit.witness - witness)));
+                raw.push(stack_with(&change, &(&fit.auxiliary_residual - auxiliary_residual)));
                 amplitudes.push((slot, probe));
             }
             if !law.linear.is_empty() {

@@ -199,7 +199,7 @@ fn named<M: SessionModel>(
             class: class_of(e),
             p_value: removal_p(model, found, h, e),
             parameters: model.parameters(h, e),
-            sentence: model.worded(model.catalogue()[e].sentence()),
+            sentence: model.format_text(model.catalogue()[e].sentence()),
         })
         .collect()
 }
@@ -268,7 +268,7 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
         unknown: None,
         accepted: found.accepted().clone(),
     };
-    let left = covariate_wins || (found.last_test.rejected() && !model.excuses(found));
+    let left = covariate_wins || (found.last_test.rejected() && !model.residual_explained(found));
     let against_pure_error = model.lack_of_fit(&c.accepted);
     let p_lack_of_fit = against_pure_error.as_ref().map(|(l, _)| l.p_value);
     let lack = against_pure_error.filter(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);

@@ -19,7 +19,7 @@ const POWER_90: f64 = 1.281_551_565_545;
 const MUCH_LARGER: f64 = 1e3;
 
 /// Smallest size by one law.
-struct Smallest {
+struct DetectableSize {
     law: usize,
     size: f64,
     unit: String,
@@ -49,7 +49,7 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
         why,
     };
     if let Some(why) = model.not_observable(effect) {
-        return entry("not-observable", None, unit, model.worded(&why));
+        return entry("not-observable", None, unit, model.format_text(&why));
     }
     if laws.is_empty() {
         let why = "taken where repeats contradict every law";
@@ -92,7 +92,12 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
 }
 
 /// By the plainest law that this session can show, at the shape that it shows best.
-fn smallest<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize) -> Option<Smallest> {
+fn smallest<M: SessionModel>(
+    model: &M,
+    fit: &Fit,
+    test: &OmnibusTest,
+    effect: usize,
+) -> Option<DetectableSize> {
     let sd = fit.variance().sqrt();
     let critical = test.family.critical(CATALOGUE_LEVEL);
     let laws = model.catalogue()[effect].laws();
@@ -113,11 +118,11 @@ fn smallest<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: u
                 .map_or(0.0, |(slot, _)| needed * model.shared_sd(effect, laws[law].parameters[*slot].name));
             let readings = fit.residual.len();
             let alone =
-                (!fit.witness.is_empty()).then(|| a.projected[0].rows(0, readings).norm()).map(|own| {
-                    model.physical(unit, (needed * sd * probe / own.max(1e-300)).hypot(shared), law).0
-                });
+                (!fit.auxiliary_residual.is_empty()).then(|| a.projected[0].rows(0, readings).norm()).map(
+                    |own| model.physical(unit, (needed * sd * probe / own.max(1e-300)).hypot(shared), law).0,
+                );
             let (size, unit) = model.physical(unit, (needed * sd * probe / signature).hypot(shared), law);
-            (signature > 0.0).then_some(Smallest { law, size, unit, share_left: a.share_left, alone })
+            (signature > 0.0).then_some(DetectableSize { law, size, unit, share_left: a.share_left, alone })
         })
         .min_by(|a, b| a.law.cmp(&b.law).then(a.size.total_cmp(&b.size)))
 }

@@ -71,7 +71,7 @@ pub fn document<M: SessionModel>(
 /// The verdict's reason, caveats and how the errors were found.
 fn reason<M: SessionModel>(model: &M, c: &Conclusion, floor: &FloorStatement, errors: &Errors) -> String {
     let caveat = model.caveat(&c.accepted).map_or_else(String::new, |text| format!(" {text}"));
-    format!("{}{caveat}{}{}", c.reason, floor.reason, model.worded(&errors.remark))
+    format!("{}{caveat}{}{}", c.reason, floor.reason, model.format_text(&errors.remark))
 }
 
 /// Readings that count in no fit or no held-out error.
@@ -131,7 +131,7 @@ fn not_identified<M: SessionModel>(model: &M, explained: &Explained) -> Vec<Stri
     let mut out: Vec<String> = Vec::new();
     for n in &explained.found.not_identified {
         let sentence =
-            format!("{} is not named: {}.", model.catalogue()[n.effect].id(), model.worded(&n.why));
+            format!("{} is not named: {}.", model.catalogue()[n.effect].id(), model.format_text(&n.why));
         if !out.contains(&sentence) {
             out.push(sentence);
         }

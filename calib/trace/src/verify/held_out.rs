@@ -2,7 +2,7 @@
 
 use super::conclusion::Conclusion;
 use super::error_summary::{coverage95, summarise};
-use super::rival::rival;
+use super::gp_baseline::rival;
 use super::session_model::{Folds, HeldOut, Quantity, SessionModel};
 use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::{Hypothesis, SearchResult};
@@ -70,7 +70,7 @@ pub fn scored<M: SessionModel>(whole: &M, predictions: &M::Predictions, left_out
 }
 
 /// Errors on the unsealed readings of `whole`, beside a rival that names nothing.
-pub fn on_unsealed<M: SessionModel>(whole: &M, unsealed: &Unsealed<M::Predictions>, seed: u64) -> Errors {
+pub fn holdout_errors<M: SessionModel>(whole: &M, unsealed: &Unsealed<M::Predictions>, seed: u64) -> Errors {
     // Every sealed reading counts: which ones belong is no choice of the model that they judge.
     let of = |p: &M::Predictions| scored(whole, p, &[]);
     let sum = |rows: &[HeldOut]| summarise(rows, whole.quantities(), "holdout", seed);
@@ -78,7 +78,7 @@ pub fn on_unsealed<M: SessionModel>(whole: &M, unsealed: &Unsealed<M::Prediction
     let without = |p: &M::Predictions| sum(&scored(whole, p, &unsealed.left_out));
     let trimmed =
         (!unsealed.left_out.is_empty()).then(|| [without(&unsealed.before), without(&unsealed.after)]);
-    let black_box = rival(whole, &unsealed.before, &[]);
+    let black_box = gp_baseline(whole, &unsealed.before, &[]);
     let counted: Vec<usize> = (0..whole.scored().len()).filter(|&i| whole.scored()[i]).collect();
     let name = "black-box rival: Gaussian process of the residual on every covariate".to_owned();
     Errors {
@@ -93,7 +93,11 @@ pub fn on_unsealed<M: SessionModel>(whole: &M, unsealed: &Unsealed<M::Prediction
 }
 
 /// `sealed` with the quantities that no sealed reading shows (contacts, where no sealed pose has a picture), left out in turn.
-pub fn completed<M: SessionModel>(model: &M, mut sealed: Errors, in_turn: impl FnOnce() -> Errors) -> Errors {
+pub fn fill_from_cross_validation<M: SessionModel>(
+    model: &M,
+    mut sealed: Errors,
+    in_turn: impl FnOnce() -> Errors,
+) -> Errors {
     let missing: Vec<&Quantity> = model.quantities().iter().filter(|q| !sealed.shows(q.key)).collect();
     if missing.is_empty() {
         return sealed;
@@ -120,7 +124,7 @@ pub fn completed<M: SessionModel>(model: &M, mut sealed: Errors, in_turn: impl F
 
 /// Errors on what each fold leaves out, where nothing was sealed. Every fold chooses anew among the refitted explanations, unless one was
 /// accepted on request.
-pub fn left_out_in_turn<M: SessionModel>(
+pub fn cross_validate<M: SessionModel>(
     model: &M,
     found: &SearchResult,
     conclusion: &Conclusion,
@@ -214,7 +218,7 @@ fn choice<'a>(rivals: &[&'a Hypothesis], found: &SearchResult, weights: &Weights
         for (t, w) in h.fit.tangents.iter().zip(&h.fit.witness_tangents) {
             basis.push(&kept(t, w));
         }
-        let left = basis.project_off(&kept(&h.fit.residual, &h.fit.witness)).norm_squared();
+        let left = basis.project_off(&kept(&h.fit.residual, &h.fit.auxiliary_residual)).norm_squared();
         left / variance + (h.criterion(&found.base.fit, variance) - h.fit.ssr / variance)
     };
     rivals.iter().map(|h| (cost(h), *h)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, h)| h)

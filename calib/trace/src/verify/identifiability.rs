@@ -12,7 +12,7 @@ use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference::covariance;
 use crate::method::min_p::f_test;
 use crate::method::noise::Noise;
-use wcal_core::verify_document::EffectLeftOut;
+use wcal_core::verify_document::EffectAblation;
 
 /// Correlation from which two values are said to trade off.
 const TRADE_OFF: f64 = 0.95;
@@ -100,7 +100,7 @@ pub fn left_out<M: SessionModel>(
     accepted: &Hypothesis,
     noise: &Noise,
     left_out: &[usize],
-) -> Vec<EffectLeftOut> {
+) -> Vec<EffectAblation> {
     let mut effects: Vec<usize> = accepted.fit.terms.iter().map(|t| t.effect).collect();
     effects.dedup();
     let sealed = whole.scored().contains(&true);
@@ -118,7 +118,7 @@ pub fn left_out<M: SessionModel>(
             let (a, b) = (&accepted.fit, &without);
             let extra = (b.dof - a.dof).max(1.0) as usize;
             let single = f_test(b.ssr - a.ssr, b.ssr, b.dof, extra);
-            Some(EffectLeftOut {
+            Some(EffectAblation {
                 id: model.catalogue()[effect].id().to_owned(),
                 misfit_ratio: (b.ssr / a.ssr).sqrt(),
                 p_value: found.first_test.family.adjusted(single),

@@ -14,7 +14,7 @@ pub const MAX_RATIO: f64 = 2.0;
 
 /// One reading through the calibration.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Judged {
+pub struct JudgedReading {
     /// Its errors.
     pub held_out: HeldOut,
     /// Errors in stated standard deviations.
@@ -23,7 +23,7 @@ pub struct Judged {
 
 /// The judgement over readings; none without any.
 #[must_use]
-pub fn judge(readings: &[Judged], quantities: &[Quantity], seed: u64) -> Option<CalibrationJudgement> {
+pub fn judge(readings: &[JudgedReading], quantities: &[Quantity], seed: u64) -> Option<CalibrationJudgement> {
     let rows: Vec<HeldOut> = readings.iter().map(|r| r.held_out.clone()).collect();
     let error = summarise(&rows, quantities, "holdout", seed)?;
     let coverage95 = coverage95(&rows)?;
@@ -61,11 +61,11 @@ mod tests {
     #[test]
     fn a_calibration_holds_that_is_as_good_as_it_says_and_no_other() {
         let quantity = [Quantity { key: "response_rmse", unit: "" }];
-        let readings = |size: f64| -> Vec<Judged> {
+        let readings = |size: f64| -> Vec<JudgedReading> {
             let of = |k: u32| {
                 let z = size * (f64::from(k) - 9.5) / 5.8;
                 let held_out = HeldOut { group: k, errors: vec![vec![z]], inside95: vec![z.abs() < 1.96] };
-                Judged { held_out, in_sd: vec![z] }
+                JudgedReading { held_out, in_sd: vec![z] }
             };
             (0..20).map(of).collect()
         };

@@ -6,6 +6,7 @@ pub mod copied_holdout;
 pub mod detect;
 mod document;
 pub mod error_summary;
+pub mod gp_baseline;
 pub mod held_out;
 pub mod holdout_check;
 pub mod identifiability;
@@ -14,7 +15,6 @@ pub mod noise_report;
 pub mod options;
 pub mod procedure;
 pub mod refutation;
-pub mod rival;
 pub mod session_model;
 
 pub use options::VerifyOptions;

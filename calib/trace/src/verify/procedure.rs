@@ -3,7 +3,9 @@
 use super::acceptance::{Fault, claims, fault, readable};
 use super::conclusion::{Conclusion, conclude};
 use super::document::document;
-use super::held_out::{Errors, SharedNoise, Unsealed, completed, left_out_in_turn, on_unsealed, scored};
+use super::held_out::{
+    Errors, SharedNoise, Unsealed, cross_validate, fill_from_cross_validation, holdout_errors, scored,
+};
 use super::holdout_check::{HOLDOUT_LEVEL, flagged, holdout_p};
 use super::options::VerifyOptions;
 use super::refutation::refuted;
@@ -169,9 +171,10 @@ impl<M: SessionModel> Stage<'_, M> {
             after: at(&conclusion.accepted)?,
             left_out: flagged(whole, &conclusion.accepted, noise),
         };
-        let in_turn = || left_out_in_turn(model, found, conclusion, &unsealed, self.on_request, self.seed);
+        let in_turn = || cross_validate(model, found, conclusion, &unsealed, self.on_request, self.seed);
         let errors = if whole.scored().contains(&true) {
-            let errors = completed(model, on_unsealed(whole, &unsealed, self.seed), in_turn);
+            let errors =
+                fill_from_cross_validation(model, holdout_errors(whole, &unsealed, self.seed), in_turn);
             Errors { shared: Some(shared_noise(whole, &unsealed)), ..errors }
         } else {
             in_turn()

@@ -93,7 +93,7 @@ pub trait SessionModel: MeasurementModel + Sized {
     /// Fitted values of an effect with intervals, in the session's units.
     fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter>;
     /// A sentence of the catalogue in the words of the session.
-    fn worded(&self, sentence: &str) -> String {
+    fn format_text(&self, sentence: &str) -> String {
         sentence.to_owned()
     }
     /// Name of a law as a reader of this kind of session has it; calibration.json keeps the catalogue's.
@@ -127,7 +127,7 @@ pub trait SessionModel: MeasurementModel + Sized {
         None
     }
     /// What is left follows from an accepted effect that is not quite of its law.
-    fn excuses(&self, _found: &SearchResult) -> bool {
+    fn residual_explained(&self, _found: &SearchResult) -> bool {
         false
     }
     /// A driver of what is left that repeats with the protocol: its columns explain nothing among readings that are equal in every input.

@@ -14,7 +14,7 @@ use wcal_trace::method::linear::{Basis, stack};
 use wcal_trace::method::min_p::{MinPDistribution, f_test};
 use wcal_trace::method::omnibus::omnibus_test;
 use wcal_trace::method::options::Options;
-use wcal_trace::method::outliers::clean;
+use wcal_trace::method::outliers::reject_outliers;
 use wcal_trace::method::search::search;
 use wcal_trace::method::signature::{nuisance, signatures_of_effect};
 
@@ -263,12 +263,12 @@ fn a_wave_in_time_is_seen_with_its_driver() {
 fn exactly_the_moved_readings_are_flagged() {
     let system = ToySystem::draw(8, |i, _| if i == 17 || i == 40 { 12.0 * NOISE } else { 0.0 });
     let weights = Weights::equal(READINGS);
-    assert_eq!(clean(&system, &[], &base(&system), &weights).unwrap().flagged, [17, 40]);
+    assert_eq!(reject_outliers(&system, &[], &base(&system), &weights).unwrap().flagged, [17, 40]);
     let trials = 300;
     let false_flags = (0..trials)
         .filter(|&s| {
             let system = plain(3000 + s);
-            clean(&system, &[], &base(&system), &weights).is_some()
+            reject_outliers(&system, &[], &base(&system), &weights).is_some()
         })
         .count() as u64;
     // The level is shared over all readings; the median's own scatter adds a little.

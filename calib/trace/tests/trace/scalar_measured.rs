@@ -57,7 +57,10 @@ fn verify(data: &TransducerData) -> ScalarVerification {
     println!("  sd {:?} lof {:?} {:?}", v.residual_sd, v.lack_of_fit_before, v.lack_of_fit_after);
     println!("  before {:?}\n  after {:?}", v.document.before, v.document.after);
     println!("  coverage {:?} floor {:?}", v.document.coverage95, v.document.noise_floor);
-    println!("  steadiness {:?} notes {:?} unknown {:?}", v.steadiness, v.document.notes, v.document.unknown);
+    println!(
+        "  steadiness {:?} notes {:?} unknown {:?}",
+        v.stationarity, v.document.notes, v.document.unknown
+    );
     v
 }
 
@@ -155,6 +158,6 @@ fn lew_has_a_period_that_is_not_steady() {
     let periodic = v.document.effects.iter().find(|e| e.id == "periodic").expect("periodic");
     let frequency = periodic.parameters.iter().find(|p| p.name == "frequency").unwrap();
     near(frequency.value, 0.3018, 1e-3);
-    assert!(v.steadiness.unwrap().z > 3.0);
+    assert!(v.stationarity.unwrap().z > 3.0);
     assert!(v.document.reason.contains("not steady"));
 }

@@ -7,7 +7,7 @@ use wcal_core::verify_document::{TwinFault, Verdict};
 use wcal_core::{Seal, SessionData};
 use wcal_trace::effect::EffectTerm;
 use wcal_trace::measurement_model::MeasurementModel;
-use wcal_trace::method::explain::Judge;
+use wcal_trace::method::explain::NoiseEstimator;
 use wcal_trace::method::fit::{Weights, fit};
 use wcal_trace::method::hypothesis::{Hypothesis, SearchResult};
 use wcal_trace::method::options::Options;
@@ -15,8 +15,8 @@ use wcal_trace::method::search::search;
 use wcal_trace::verify::conclusion::conclude;
 use wcal_trace::verify::detect;
 use wcal_trace::verify::error_summary::{coverage95, rmse, summarise};
+use wcal_trace::verify::gp_baseline::gp_baseline;
 use wcal_trace::verify::holdout_check::{HOLDOUT_LEVEL, holdout_p};
-use wcal_trace::verify::rival::rival;
 use wcal_trace::verify::{HeldOut, SessionModel};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_trace::whisker::floor::noise_floor;
@@ -99,7 +99,8 @@ fn labels_of_the_rod_itself_have_no_fault_and_each_kind_of_fault_is_named() {
 #[test]
 fn the_floor_comes_from_replicates_or_says_that_it_does_not() {
     let (_, rich, found) = null();
-    let noise_of = |system: &WhiskerSystem, h: &Hypothesis| Judge::new(system, 1).noise(h, &[]).unwrap().0;
+    let noise_of =
+        |system: &WhiskerSystem, h: &Hypothesis| NoiseEstimator::new(system, 1).noise(h, &[]).unwrap().0;
     let floor = noise_floor(rich, &found.base, &noise_of(rich, &found.base), false).unwrap();
     assert_eq!(floor.source, "replicates");
     // Nothing acts there: pure error and residual agree within their scatter.
@@ -167,7 +168,7 @@ fn a_holdout_like_the_points_agrees_and_a_moved_one_does_not() {
         let mut data = data.clone();
         data.holdout.relabel(|r| r.shift_pm[0] += moved_pm);
         let whole = system.whole(data.holdout.unseal(&Seal::default()).0).unwrap();
-        let noise = Judge::new(system, 1).noise(&found.base, &[]).unwrap().0;
+        let noise = NoiseEstimator::new(system, 1).noise(&found.base, &[]).unwrap().0;
         holdout_p(&whole, &found.base, &noise, &[]).unwrap()
     };
     assert!(p_of(0.0) > 0.01);
@@ -183,9 +184,9 @@ fn the_rival_has_no_part_of_what_is_sealed() {
         data.holdout
             .relabel(|r| r.shift_pm[0] += if (r.role == Role::Rest) == rest { moved_pm } else { 0.0 });
         let whole = system.whole(data.holdout.unseal(&Seal::default()).0).unwrap();
-        let noise = Judge::new(system, 1).noise(&found.base, &[]).unwrap().0;
+        let noise = NoiseEstimator::new(system, 1).noise(&found.base, &[]).unwrap().0;
         let before = whole.predict(&found.base, &noise.reading_sd(&whole.noise_inputs())).unwrap();
-        rmse(&rival(&whole, &before, &[]), 0)
+        rmse(&gp_baseline(&whole, &before, &[]), 0)
     };
     assert!((error(0.0, true) - error(50.0, true)).abs() < 1e-9);
     assert!(error(50.0, false) > error(0.0, false) + 10.0, "negative control");

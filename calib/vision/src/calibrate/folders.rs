@@ -11,7 +11,7 @@ use crate::calibrate::markers::{MarkerBoard, grid_places};
 use crate::calibrate::noise::CornerNoise;
 use crate::calibrate::refinement::{View, choose_refinement};
 use crate::calibrate::solution::{StereoSolution, leave_one_out};
-use crate::calibrate::statements::{Optics, Others, Statement, calibrate_as_stated};
+use crate::calibrate::statements::{BoardStatement, Optics, Others, calibrate_as_stated};
 use crate::calibrate::views::{
     MarkerPairs, check_board, marker_pairs, usable, whole_board, with_guess, with_rejections,
 };
@@ -52,8 +52,8 @@ pub fn calibrate_folders(
 }
 
 /// What the pictures show of the stated board, and how to ask for another one.
-struct Found<'a> {
-    stated: Statement,
+struct BoardSearch<'a> {
+    stated: BoardStatement,
     image_size: [usize; 2],
     rejected: Vec<RejectedView>,
     remarks: Vec<String>,
@@ -67,7 +67,7 @@ fn chessboard<'a>(
     board: &'a Board,
     lens: &'static dyn Lens,
     progress: &(dyn Fn(&str) + Sync),
-) -> Result<Found<'a>, VisionError> {
+) -> Result<BoardSearch<'a>, VisionError> {
     check_board(files, board)?;
     let (mut rejected, mut remarks) = (Vec::new(), Vec::new());
     let (mut views, image_size) = usable(files, &mut rejected, &|p, i| whole_board(p, board.size, i))?;
@@ -78,9 +78,17 @@ fn chessboard<'a>(
     let (refined, refinement, chosen) =
         choose_refinement(&points, board.size, &views, (image_size, lens), progress)?;
     let stated =
-        Statement { says: String::new(), points, places: grid_places(board.size), views: Ok(refined) };
+        BoardStatement { says: String::new(), points, places: grid_places(board.size), views: Ok(refined) };
     // A plain chessboard has its squares and nothing else to be wrong, but the print.
-    Ok(Found { stated, image_size, rejected, remarks, refinement, chosen, others: Box::new(|_| Vec::new()) })
+    Ok(BoardSearch {
+        stated,
+        image_size,
+        rejected,
+        remarks,
+        refinement,
+        chosen,
+        others: Box::new(|_| Vec::new()),
+    })
 }
 
 /// Reads the right corners of a board that looks alike after half a turn from the end at which the left ones begin.
@@ -101,7 +109,7 @@ fn marker_board<'a>(
     files: &'a [PairFiles],
     board: &Board,
     markers: &MarkerBoard,
-) -> Result<Found<'a>, VisionError> {
+) -> Result<BoardSearch<'a>, VisionError> {
     let MarkerPairs { size, views, rejected, mut remarks, marker_share } = marker_pairs(files, markers);
     remarks.extend(markers.contradicts(marker_share));
     let Some(image_size) = size else {
@@ -119,15 +127,15 @@ fn marker_board<'a>(
                 Some(seen) if own.corners_by_number() => Ok(seen.clone()),
                 _ => marker_pairs(files, &other.board).views,
             };
-            Statement { says: other.says, points: other.board.points, places: other.board.places, views }
+            BoardStatement { says: other.says, points: other.board.points, places: other.board.places, views }
         };
         if own.corners_by_number() && seen.is_none() {
             return Vec::new();
         }
         alternatives(&own, noise).into_iter().map(statement).collect()
     };
-    Ok(Found {
-        stated: Statement {
+    Ok(BoardSearch {
+        stated: BoardStatement {
             says: String::new(),
             points: markers.points.clone(),
             places: markers.places.clone(),

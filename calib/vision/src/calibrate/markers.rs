@@ -191,7 +191,7 @@ impl TagGrid {
 
 /// What a picture shows of a board with markers.
 #[derive(Debug, Default)]
-pub struct Seen {
+pub struct MarkerView {
     /// One entry a point of the board.
     pub corners: Corners,
     /// What is to be said of them.
@@ -204,7 +204,7 @@ pub struct Seen {
 ///
 /// # Errors
 /// A sentence.
-pub fn corners(board: &MarkerBoard, picture: &Picture) -> Result<Seen, String> {
+pub fn corners(board: &MarkerBoard, picture: &Picture) -> Result<MarkerView, String> {
     let found = match &board.markers {
         Markers::Charuco(charuco) => charuco.corners(picture),
         Markers::Tags(grid) => grid.corners(&board.places, picture),
@@ -232,7 +232,7 @@ pub(crate) fn marker_ids(picture: &Picture, dictionary: i32) -> Result<Vec<i32>,
 }
 
 impl Charuco {
-    fn corners(&self, picture: &Picture) -> Result<Seen, VisionError> {
+    fn corners(&self, picture: &Picture) -> Result<MarkerView, VisionError> {
         let BoardSize { columns: c, rows: r } = self.size;
         // The older layout is today's with a row of squares more, of which the first row is not there.
         let above = usize::from(self.legacy);
@@ -246,7 +246,7 @@ impl Charuco {
         let (marker_corners, ids) = detect(&mat, &dictionary)?;
         let mut out = vec![None; c * r];
         if ids.is_empty() {
-            return Ok(Seen { corners: out, ..Seen::default() });
+            return Ok(MarkerView { corners: out, ..MarkerView::default() });
         }
         let missing = (above * across as usize / 2) as i32;
         let ids: Vector<i32> = ids.iter().map(|id| id + missing).collect();
@@ -276,7 +276,7 @@ impl Charuco {
                 .or(Some(here));
         }
         let marker_share = self.marker_share(&out, &marker_corners);
-        Ok(Seen { corners: out, marker_share, ..Seen::default() })
+        Ok(MarkerView { corners: out, marker_share, ..MarkerView::default() })
     }
 
     /// Median side of the markers, in squares, by the homography of the board's corners.
@@ -298,7 +298,7 @@ impl Charuco {
 
 impl TagGrid {
     /// Corners of the grid's tags. Of a tag that is seen twice that one counts which lies where the others put it.
-    fn corners(&self, places: &[GridPlace], picture: &Picture) -> Result<Seen, VisionError> {
+    fn corners(&self, places: &[GridPlace], picture: &Picture) -> Result<MarkerView, VisionError> {
         let mut seen: BTreeMap<usize, Vec<Tag>> = BTreeMap::new();
         for tag in find_tags(picture, &self.family, None, Search::Whole)? {
             if tag.refined && (tag.id as usize) < self.count {
@@ -323,6 +323,6 @@ impl TagGrid {
                 *slot = Some(corner);
             }
         }
-        Ok(Seen { corners: out, remarks, marker_share: None })
+        Ok(MarkerView { corners: out, remarks, marker_share: None })
     }
 }

@@ -60,15 +60,15 @@ pub(crate) fn corner_noise(places: &[GridPlace], views: &[BoardView]) -> CornerN
     CornerNoise { rms_px: (sum / freedom as f64).sqrt(), offsets }
 }
 
-type Seen = Vec<(GridPlace, Vector2<f64>)>;
+type MarkerView = Vec<(GridPlace, Vector2<f64>)>;
 
 /// The homography from steps to pixels in one picture, and the corners seen.
 fn grid_in_picture(
     places: &[GridPlace],
     offsets: &[Vector2<f64>],
     corners: &Corners,
-) -> Option<(nalgebra::Matrix3<f64>, Seen)> {
-    let seen: Seen = places.iter().zip(corners).filter_map(|(p, c)| Some((*p, (*c)?))).collect();
+) -> Option<(nalgebra::Matrix3<f64>, MarkerView)> {
+    let seen: MarkerView = places.iter().zip(corners).filter_map(|(p, c)| Some((*p, (*c)?))).collect();
     let from: Vec<_> = seen.iter().map(|(p, _)| p.cell + offsets[p.kind]).collect();
     let to: Vec<_> = seen.iter().map(|s| s.1).collect();
     Some((homography(&from, &to)?, seen))

@@ -30,7 +30,7 @@ const NOT_SQUARE: f64 = 0.004;
 const DECIDED: f64 = 16.0;
 
 /// A board and what the pictures show of it.
-pub(crate) struct Statement {
+pub(crate) struct BoardStatement {
     /// Completes "with ... RMS is".
     pub says: String,
     pub points: Vec<Vector3<f64>>,
@@ -40,7 +40,7 @@ pub(crate) struct Statement {
 }
 
 /// Other statements about a board, once its corners' noise is known.
-pub(crate) type Others<'a> = dyn Fn(&CornerNoise) -> Vec<Statement> + 'a;
+pub(crate) type Others<'a> = dyn Fn(&CornerNoise) -> Vec<BoardStatement> + 'a;
 
 /// Size of the pictures and model of the lenses.
 pub(crate) type Optics = ([usize; 2], &'static dyn Lens);
@@ -50,11 +50,11 @@ pub(crate) type Optics = ([usize; 2], &'static dyn Lens);
 /// # Errors
 /// As `calibrate_stereo`.
 pub(crate) fn calibrate_as_stated(
-    stated: Statement,
+    stated: BoardStatement,
     (image_size, lens): Optics,
     others: &Others<'_>,
 ) -> Result<(StereoSolution, CornerNoise), VisionError> {
-    let Statement { points, places, views, .. } = stated;
+    let BoardStatement { points, places, views, .. } = stated;
     let seen = views.as_ref().map_or_else(|_| Vec::new(), Clone::clone);
     let outcome = views.and_then(|v| calibrate_stereo(&points, v, image_size, lens));
     let noise = corner_noise(&places, outcome.as_ref().map_or(&seen, |s| &s.views));

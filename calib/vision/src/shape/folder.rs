@@ -8,7 +8,7 @@ use crate::shape::describe::{describe, tag_document};
 use crate::shape::groove::find_groove;
 use crate::shape::joint::{Joint, ROOT_CLAMPED, uncertainties};
 use crate::shape::other_pose::pairs_of_other_poses;
-use crate::shape::pair_errors::{Shared, VertexErrors, pair_errors};
+use crate::shape::pair_errors::{SharedErrors, VertexErrors, pair_errors};
 use crate::shape::pair_fit::{PairFit, ROOT_FREE, Scene, fit_pair};
 use crate::shape::shared_errors::{camera_errors, shared_errors};
 use crate::stages::{Stage, StageClock};
@@ -41,7 +41,7 @@ const ROUNDS: usize = 3;
 const LARGE_TAG_PX: f64 = 48.0;
 
 /// A pair: the pictures to search for the wire (background subtracted where there is one), and tags.
-struct Loaded {
+struct PairInput {
     name: String,
     pictures: [Picture; 2],
     tags: PairTags,
@@ -72,7 +72,7 @@ pub fn shapes_of_pairs(
 ) -> ShapesResult {
     let times = StageClock::default();
     let load = |f| load(stereo, rig, f, background, &times);
-    let mut loaded: Vec<Result<Loaded, String>> = files.par_iter().map(load).collect();
+    let mut loaded: Vec<Result<PairInput, String>> = files.par_iter().map(load).collect();
     let TagSizes { rig: as_seen, mut warnings, elsewhere } =
         times.time(Stage::Tags, || tag_sizes(stereo, rig, &tags_of(&loaded)));
     warnings.splice(0..0, rig.remarks.clone());
@@ -97,7 +97,7 @@ pub fn shapes_of_pairs(
     ShapesResult { document, fits, stereo: stereo.clone(), times }
 }
 
-fn tags_of(loaded: &[Result<Loaded, String>]) -> Vec<PairTags> {
+fn tags_of(loaded: &[Result<PairInput, String>]) -> Vec<PairTags> {
     loaded.iter().map(|l| l.as_ref().map_or_else(|_| Vec::new(), |l| l.tags.clone())).collect()
 }
 
@@ -112,7 +112,7 @@ struct FittedPairs {
 fn fit_pairs(
     stereo: &StereoCameras,
     rig: &Rig,
-    loaded: &[Result<Loaded, String>],
+    loaded: &[Result<PairInput, String>],
     base: Option<&FolderBase>,
     times: &StageClock,
     progress: &(dyn Fn(&str) + Sync),
@@ -178,7 +178,7 @@ fn shapes_of_loaded(
     stereo: &StereoCameras,
     rig: &Rig,
     files: &[PairFiles],
-    loaded: &[Result<Loaded, String>],
+    loaded: &[Result<PairInput, String>],
     times: &StageClock,
     progress: &(dyn Fn(&str) + Sync),
 ) -> (ShapesDocument, Vec<Option<PairFit>>) {
@@ -192,7 +192,7 @@ fn shapes_of_loaded(
     );
     let errors = times.time_alone(Stage::Joint, || camera_errors(stereo, &fits, &uncertain));
     let rigs = times.time(Stage::Joint, || rig_poses(stereo, rig, &tags));
-    let shared = times.time_alone(Stage::Joint, || Shared::new(stereo, &uncertain, &rigs));
+    let shared = times.time_alone(Stage::Joint, || SharedErrors::new(stereo, &uncertain, &rigs));
     if rigs.poses.iter().flatten().count() > 1 && rigs.shared_turn.is_none() {
         warnings
             .push("the rig tag turns between pairs; its orientation is taken from each pair alone".into());
@@ -271,7 +271,7 @@ fn load(
     files: &PairFiles,
     background: Option<&[Picture; 2]>,
     times: &StageClock,
-) -> Result<Loaded, String> {
+) -> Result<PairInput, String> {
     if let Some(why) = &files.refused {
         return Err(why.clone());
     }
@@ -331,7 +331,7 @@ fn load(
         None => pictures,
     };
     let (tags, remarks) = each_once(stereo, rig, tags);
-    Ok(Loaded { name: files.name.clone(), pictures, tags, remarks })
+    Ok(PairInput { name: files.name.clone(), pictures, tags, remarks })
 }
 
 /// Standard deviations of the root, and an earlier fit to continue from.
@@ -343,7 +343,7 @@ struct Attempt<'a> {
 fn fit_one(
     stereo: &StereoCameras,
     rig: &Rig,
-    loaded: &Loaded,
+    loaded: &PairInput,
     base: Option<&FolderBase>,
     index: usize,
     Attempt { root_sd, start }: Attempt<'_>,
@@ -408,7 +408,7 @@ fn exchanged_or_foreign(base: &FolderBase, own: &[tag_pose::TagObservation], off
     format!("the base tag's corners lie {off_px:.1} px from any pose that both cameras share: {cause}")
 }
 
-fn missing_tag(rig: &Rig, loaded: &Loaded) -> String {
+fn missing_tag(rig: &Rig, loaded: &PairInput) -> String {
     let wanted: Vec<String> = rig
         .tags
         .iter()

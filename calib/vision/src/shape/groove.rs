@@ -74,7 +74,7 @@ pub(crate) fn find_groove(
     let at_rest = rest[((arc / fit.model.step_mm) as usize).min(rest.len() - 1)];
     let moved = across * (point - at_rest);
     let width_mm = groove.width_along_wire_mm;
-    let place = Place {
+    let place = GroovePosition {
         away: across * (point - by_tag),
         covariance: across * (tag_covariance + wire_covariance) * across + along(&tangent),
         push: (moved.norm() > diameter_mm).then(|| moved.normalize()),
@@ -124,7 +124,7 @@ fn tangent_at(fit: &PairFit, shape: &CurveShape, arc_mm: f64) -> Vector3<f64> {
 }
 
 /// Where the wire lies in the groove's section across it.
-pub struct Place {
+pub struct GroovePosition {
     /// From the vertex position to the wire's centre, mm.
     pub away: Vector3<f64>,
     /// Covariance of that, mm^2; of unit size along the wire.
@@ -135,7 +135,7 @@ pub struct Place {
     pub turn: Vector3<f64>,
 }
 
-impl Place {
+impl GroovePosition {
     /// `vertex`: on both flanks; `double`: arched over the vertex, on the groove's two rims; `out-of-vertex`: on one flank;
     /// `none`: clear of both.
     #[must_use]

@@ -68,7 +68,7 @@ impl Layout {
 }
 
 /// Errors that all pairs of a folder share: the parameters, their covariance, and the derivatives of the rig tags by the cameras.
-pub(crate) struct Shared {
+pub(crate) struct SharedErrors {
     layout: Layout,
     pub(crate) parameters: Vec<SharedParameter>,
     pub(crate) covariance: DMatrix<f64>,
@@ -78,7 +78,7 @@ pub(crate) struct Shared {
     turn: Option<Matrix3xX<f64>>,
 }
 
-impl Shared {
+impl SharedErrors {
     pub(crate) fn new(
         stereo: &StereoCameras,
         uncertain: &[Option<PairUncertainty>],
@@ -174,7 +174,7 @@ impl VertexErrors {
     /// None where the tag's corners leave its pose open.
     pub(crate) fn new(
         stereo: &StereoCameras,
-        shared: &Shared,
+        shared: &SharedErrors,
         rigs: &RigPoses,
         pair: usize,
         fit: &PairFit,
@@ -243,7 +243,7 @@ pub(crate) struct Errors {
 /// Errors of a pair's centre line, groove and length.
 pub(crate) fn pair_errors(
     stereo: &StereoCameras,
-    shared: &Shared,
+    shared: &SharedErrors,
     fit: &PairFit,
     u: &PairUncertainty,
     groove: Option<(&GrooveFound, &VertexErrors)>,
@@ -315,7 +315,7 @@ fn own_columns(
 /// Derivatives by the shared parameters.
 fn shared_columns(
     stereo: &StereoCameras,
-    shared: &Shared,
+    shared: &SharedErrors,
     fit: &PairFit,
     u: &PairUncertainty,
     by_curve: &DMatrix<f64>,

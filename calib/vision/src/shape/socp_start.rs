@@ -43,7 +43,7 @@ impl Triplets {
 }
 
 /// Equation of a piece: residual in sd, and its derivative by the positions of the link's two nodes, 1/mm.
-struct Pull {
+struct PieceEquation {
     camera: usize,
     link: usize,
     residual: f64,
@@ -63,7 +63,7 @@ pub fn socp_initial_curve(
     let shape = model.shape(state);
     let at: Vec<usize> = (0..model.nodes).step_by(STRIDE).collect();
     let base = left_from_base.rotation.to_rotation_matrix();
-    let mut pulls: Vec<Pull> = observations
+    let mut pulls: Vec<PieceEquation> = observations
         .iter()
         .filter_map(|s| {
             let (i, f) = node(s.arc_mm, model.step_mm, model.nodes);
@@ -74,12 +74,12 @@ pub fn socp_initial_curve(
             let link = (i / STRIDE).min(at.len() - 2);
             let g = (((i - link * STRIDE) as f64 + f) / STRIDE as f64).min(1.0);
             let residual = s.normal.dot(&(s.observed_px - px)) / s.sd_px;
-            Some(Pull { camera: s.camera, link, residual, by_nodes: [along * (1.0 - g), along * g] })
+            Some(PieceEquation { camera: s.camera, link, residual, by_nodes: [along * (1.0 - g), along * g] })
         })
         .collect();
     // The median of a camera's residuals on a link represents all of them: a fifth of the time, and robust.
     pulls.sort_by(|a, b| (a.camera, a.link).cmp(&(b.camera, b.link)).then(a.residual.total_cmp(&b.residual)));
-    let pulls: Vec<&Pull> =
+    let pulls: Vec<&PieceEquation> =
         pulls.chunk_by(|a, b| (a.camera, a.link) == (b.camera, b.link)).map(|c| &c[c.len() / 2]).collect();
     let moved = solve(model, &shape.points, &model.rest_bends(state), &at, &pulls, prior)?;
     let nodes: Vec<(usize, Vector3<f64>)> =
@@ -93,7 +93,7 @@ fn solve(
     points: &[Vector3<f64>],
     rest: &[Vector3<f64>],
     at: &[usize],
-    pulls: &[&Pull],
+    pulls: &[&PieceEquation],
     prior: &Prior,
 ) -> Option<Vec<Vector3<f64>>> {
     let (nodes, link_mm) = (at.len(), STRIDE as f64 * model.step_mm);

@@ -2,7 +2,7 @@
 
 use super::link::Wire;
 use super::scene::SceneState;
-use super::world::Shared;
+use super::world::BenchState;
 use std::io::{self, Read};
 use std::net::TcpStream;
 use std::time::Duration;
@@ -20,7 +20,7 @@ const COMMAND_LIMIT: usize = 64;
 ///
 /// # Errors
 /// Why the link ended.
-pub fn serve(shared: &Shared, mut link: TcpStream, index: usize) -> io::Result<()> {
+pub fn serve(shared: &BenchState, mut link: TcpStream, index: usize) -> io::Result<()> {
     link.set_write_timeout(Some(Duration::from_secs(5)))?;
     let spec = &shared.scenario.cameras;
     let period_s = 1.0 / spec.rate_hz;
@@ -61,7 +61,7 @@ pub fn serve(shared: &Shared, mut link: TcpStream, index: usize) -> io::Result<(
 }
 
 /// Executes the client's commands: lines `board K` (hold up the chessboard in attitude K) and `board off`; others are ignored.
-fn obey(shared: &Shared, link: &mut TcpStream, heard: &mut Vec<u8>) -> io::Result<()> {
+fn obey(shared: &BenchState, link: &mut TcpStream, heard: &mut Vec<u8>) -> io::Result<()> {
     let mut bytes = [0_u8; COMMAND_LIMIT];
     // Commands are executed as they arrive, without a reply.
     link.set_nonblocking(true)?;
@@ -94,7 +94,7 @@ fn obey(shared: &Shared, link: &mut TcpStream, heard: &mut Vec<u8>) -> io::Resul
 
 /// What a camera sees at `due_s`: whole pixels at rest, blocks of them while stage or mount move, so that a bench in motion is not held up by
 /// its pictures.
-fn picture(shared: &Shared, index: usize, due_s: f64, trigger: u64) -> Vec<u8> {
+fn picture(shared: &BenchState, index: usize, due_s: f64, trigger: u64) -> Vec<u8> {
     let spec = &shared.scenario.cameras;
     let [width, height] = spec.size_px;
     let Some(scene) = &shared.scene else {

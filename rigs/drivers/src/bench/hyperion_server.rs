@@ -1,7 +1,7 @@
 //! A Hyperion on TCP: a port for commands, a port for streamed peaks.
 
 use super::link::Wire;
-use super::world::{Scan, Shared};
+use super::world::{BenchState, Scan};
 use std::io;
 use std::net::TcpStream;
 
@@ -9,7 +9,7 @@ use std::net::TcpStream;
 ///
 /// # Errors
 /// Why the link ended.
-pub fn serve(shared: &Shared, mut link: TcpStream) -> io::Result<()> {
+pub fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> {
     let mut pending = Vec::new();
     let mut bytes = [0_u8; 512];
     let mut stream_from: Option<u64> = None;
@@ -79,7 +79,7 @@ fn refusal(message: &str) -> Vec<u8> {
     b
 }
 
-fn record(shared: &Shared, scan: &Scan) -> Vec<u8> {
+fn record(shared: &BenchState, scan: &Scan) -> Vec<u8> {
     let mut peaks: Vec<f64> = scan.peaks_nm.iter().flatten().copied().collect();
     peaks.sort_by(f64::total_cmp);
     let device_s = shared.device_s(scan.t_s);

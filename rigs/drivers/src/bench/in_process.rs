@@ -9,7 +9,7 @@
 use super::clock::BenchClock;
 use super::plant::Plant;
 use super::scenario::Scenario;
-use super::world::{Shared, guard};
+use super::world::{BenchState, guard};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::{Arc, Condvar, Mutex};
@@ -43,7 +43,7 @@ struct Stream {
 /// The bench; clones are the same bench.
 #[derive(Clone)]
 pub struct InProcess {
-    shared: Arc<Shared>,
+    shared: Arc<BenchState>,
     stream: Arc<(Mutex<Stream>, Condvar)>,
     answers: Arc<Mutex<ChaCha8Rng>>,
 }
@@ -53,7 +53,7 @@ impl InProcess {
     #[must_use]
     pub fn new(scenario: Scenario, plant: Option<Box<dyn Plant>>) -> Self {
         let answers = ChaCha8Rng::seed_from_u64(scenario.seed ^ 0xa5);
-        let shared = Shared::by_clock(scenario, plant, BenchClock::standing());
+        let shared = BenchState::by_clock(scenario, plant, BenchClock::standing());
         shared.scan();
         Self { shared, stream: Arc::default(), answers: Arc::new(Mutex::new(answers)) }
     }

@@ -35,7 +35,7 @@ pub enum ReplyFault {
 
 /// What a line carries instead of replies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Flood {
+pub enum UnsolicitedTraffic {
     /// Messages of the unit that nobody asked for.
     Alerts,
     /// Replies of another unit.
@@ -50,12 +50,12 @@ const POURED: usize = 40;
 const TAKEN: Duration = Duration::from_secs(1);
 
 /// A message that is no reply of unit 1: binary messages have six bytes, all others are ASCII lines.
-fn stray(flood: Flood, binary: bool) -> &'static [u8] {
+fn stray(flood: UnsolicitedTraffic, binary: bool) -> &'static [u8] {
     match (flood, binary) {
-        (Flood::Alerts, false) => b"!01 1 IDLE --\r\n",
-        (Flood::Alerts, true) => &[1, 8, 0, 0, 0, 0],
-        (Flood::Foreign, false) => b"@09 1 77 OK IDLE -- 0\r\n",
-        (Flood::Foreign, true) => &[9, 60, 0, 0, 0, 0],
+        (UnsolicitedTraffic::Alerts, false) => b"!01 1 IDLE --\r\n",
+        (UnsolicitedTraffic::Alerts, true) => &[1, 8, 0, 0, 0, 0],
+        (UnsolicitedTraffic::Foreign, false) => b"@09 1 77 OK IDLE -- 0\r\n",
+        (UnsolicitedTraffic::Foreign, true) => &[9, 60, 0, 0, 0, 0],
     }
 }
 
@@ -69,7 +69,7 @@ fn is_binary(reply: &[u8]) -> bool {
 pub struct Cable {
     unplugged: AtomicBool,
     next: Mutex<VecDeque<ReplyFault>>,
-    flood: Mutex<Option<Flood>>,
+    flood: Mutex<Option<UnsolicitedTraffic>>,
 }
 
 impl Cable {
@@ -92,13 +92,13 @@ impl Cable {
     }
 
     /// Begins or ends a flood.
-    pub fn flood(&self, flood: Option<Flood>) {
+    pub fn flood(&self, flood: Option<UnsolicitedTraffic>) {
         if let Ok(mut now) = self.flood.lock() {
             *now = flood;
         }
     }
 
-    fn flooded(&self) -> Option<Flood> {
+    fn flooded(&self) -> Option<UnsolicitedTraffic> {
         self.flood.lock().ok().and_then(|now| *now)
     }
 
@@ -127,7 +127,7 @@ impl Cable {
                 wire.send(bytes)
             }
             Some(ReplyFault::Foreign) => {
-                wire.send(&[stray(Flood::Foreign, is_binary(bytes)), bytes].concat())
+                wire.send(&[stray(UnsolicitedTraffic::Foreign, is_binary(bytes)), bytes].concat())
             }
             // The binary protocol has neither info nor lines.
             Some(ReplyFault::Info) if is_binary(bytes) => wire.send(bytes),

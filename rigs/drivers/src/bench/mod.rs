@@ -32,7 +32,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 use wcal_core::clock::late_s;
-use world::Shared;
+use world::BenchState;
 
 /// Where the devices answer; printed as one JSON line by `wcal virtual-bench`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -62,7 +62,7 @@ pub struct HyperionAddresses {
 
 /// A running bench; it ends when dropped.
 pub struct VirtualBench {
-    shared: Arc<Shared>,
+    shared: Arc<BenchState>,
     addresses: Addresses,
     threads: Vec<JoinHandle<()>>,
 }
@@ -74,20 +74,20 @@ impl VirtualBench {
     /// When a port or the pseudo-terminal cannot be opened.
     pub fn start(scenario: Scenario, plant: Option<Box<dyn Plant>>) -> io::Result<Self> {
         let (camera_count, speed) = (scenario.cameras.count, scenario.speed);
-        let shared = Shared::new(scenario, plant);
+        let shared = BenchState::new(scenario, plant);
         let mut threads = Vec::new();
         let pty = Pty::open()?;
         let stage_pty = pty.path().to_owned();
         threads.push(serve_pty(&shared, pty));
         let stage_tcp =
-            listen(&shared, &mut threads, Cord::Stage, |s, mut link| stage_server::serve(s, &mut link))?;
-        let sm130 = listen(&shared, &mut threads, Cord::Interrogator, sm130_server::serve)?;
-        let commands = listen(&shared, &mut threads, Cord::Interrogator, hyperion_server::serve)?;
-        let peaks = listen(&shared, &mut threads, Cord::Interrogator, hyperion_server::serve)?;
+            listen(&shared, &mut threads, PortCable::Stage, |s, mut link| stage_server::serve(s, &mut link))?;
+        let sm130 = listen(&shared, &mut threads, PortCable::Interrogator, sm130_server::serve)?;
+        let commands = listen(&shared, &mut threads, PortCable::Interrogator, hyperion_server::serve)?;
+        let peaks = listen(&shared, &mut threads, PortCable::Interrogator, hyperion_server::serve)?;
         let mut cameras = Vec::new();
         for index in 0..camera_count {
-            let serve = move |s: &Shared, link| camera_server::serve(s, link, index);
-            cameras.push(listen(&shared, &mut threads, Cord::None, serve)?);
+            let serve = move |s: &BenchState, link| camera_server::serve(s, link, index);
+            cameras.push(listen(&shared, &mut threads, PortCable::None, serve)?);
         }
         // Units reply with a scan from the first request on.
         shared.scan();
@@ -149,14 +149,14 @@ const QUEUE: usize = 200;
 
 /// Which cable a port hangs on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Cord {
+enum PortCable {
     Stage,
     Interrogator,
     None,
 }
 
-impl Cord {
-    fn is_out(self, shared: &Shared) -> bool {
+impl PortCable {
+    fn is_out(self, shared: &BenchState) -> bool {
         match self {
             Self::Stage => shared.stage_cable.is_out(),
             Self::Interrogator => shared.interrogator_cable.is_out(),
@@ -166,13 +166,13 @@ impl Cord {
 }
 
 fn listen<F>(
-    shared: &Arc<Shared>,
+    shared: &Arc<BenchState>,
     threads: &mut Vec<JoinHandle<()>>,
-    cord: Cord,
+    cord: PortCable,
     serve: F,
 ) -> io::Result<SocketAddr>
 where
-    F: Fn(&Shared, TcpStream) -> io::Result<()> + Send + Sync + Clone + 'static,
+    F: Fn(&BenchState, TcpStream) -> io::Result<()> + Send + Sync + Clone + 'static,
 {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
     let address = listener.local_addr()?;
@@ -182,7 +182,7 @@ where
         let mut clients: Vec<JoinHandle<()>> = Vec::new();
         let mut queue = Vec::new();
         while !shared.stopping() {
-            if cord != Cord::None && shared.never_accepts() {
+            if cord != PortCable::None && shared.never_accepts() {
                 // With a full queue the system does not answer to another connection.
                 if queue.is_empty() {
                     queue = std::iter::from_fn(|| TcpStream::connect_timeout(&address, UNANSWERED).ok())
@@ -218,7 +218,7 @@ where
     Ok(address)
 }
 
-fn serve_pty(shared: &Arc<Shared>, mut pty: Pty) -> JoinHandle<()> {
+fn serve_pty(shared: &Arc<BenchState>, mut pty: Pty) -> JoinHandle<()> {
     let shared = Arc::clone(shared);
     std::thread::spawn(move || {
         while !shared.stopping() {
@@ -229,7 +229,7 @@ fn serve_pty(shared: &Arc<Shared>, mut pty: Pty) -> JoinHandle<()> {
     })
 }
 
-fn scanner(shared: &Arc<Shared>) -> JoinHandle<()> {
+fn scanner(shared: &Arc<BenchState>) -> JoinHandle<()> {
     let shared = Arc::clone(shared);
     std::thread::spawn(move || {
         while !shared.stopping() {

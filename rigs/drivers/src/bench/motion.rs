@@ -12,7 +12,7 @@ const HISTORY_S: f64 = 60.0;
 
 /// A piece of constant acceleration that starts at `t_s`.
 #[derive(Debug, Clone, Copy)]
-struct Piece {
+struct MotionSegment {
     t_s: f64,
     length_s: f64,
     x_mm: f64,
@@ -20,7 +20,7 @@ struct Piece {
     a_mm_s2: f64,
 }
 
-impl Piece {
+impl MotionSegment {
     fn at(&self, t_s: f64) -> (f64, f64) {
         let dt = (t_s - self.t_s).clamp(0.0, self.length_s);
         (self.x_mm + self.v_mm_s * dt + 0.5 * self.a_mm_s2 * dt * dt, self.v_mm_s + self.a_mm_s2 * dt)
@@ -34,7 +34,7 @@ impl Piece {
 /// Position of one axis as a function of time.
 #[derive(Debug, Clone)]
 pub struct Motion {
-    pieces: VecDeque<Piece>,
+    pieces: VecDeque<MotionSegment>,
     acceleration_mm_s2: f64,
 }
 
@@ -42,8 +42,14 @@ impl Motion {
     /// At rest at `x_mm`; every move uses `acceleration_mm_s2`.
     #[must_use]
     pub fn at_rest(x_mm: f64, acceleration_mm_s2: f64) -> Self {
-        let rest = Piece { t_s: f64::NEG_INFINITY, length_s: f64::INFINITY, x_mm, v_mm_s: 0.0, a_mm_s2: 0.0 };
-        Self { pieces: VecDeque::from([Piece { t_s: -1.0, ..rest }]), acceleration_mm_s2 }
+        let rest = MotionSegment {
+            t_s: f64::NEG_INFINITY,
+            length_s: f64::INFINITY,
+            x_mm,
+            v_mm_s: 0.0,
+            a_mm_s2: 0.0,
+        };
+        Self { pieces: VecDeque::from([MotionSegment { t_s: -1.0, ..rest }]), acceleration_mm_s2 }
     }
 
     /// Position (mm) and velocity (mm/s) at `t_s`; before the kept past, those at its start.
@@ -129,7 +135,7 @@ struct Plan<'a> {
     t_s: f64,
     x_mm: f64,
     v_mm_s: f64,
-    pieces: &'a mut VecDeque<Piece>,
+    pieces: &'a mut VecDeque<MotionSegment>,
 }
 
 impl Plan<'_> {
@@ -137,7 +143,7 @@ impl Plan<'_> {
         if length_s <= 0.0 {
             return;
         }
-        let piece = Piece { t_s: self.t_s, length_s, x_mm: self.x_mm, v_mm_s: self.v_mm_s, a_mm_s2 };
+        let piece = MotionSegment { t_s: self.t_s, length_s, x_mm: self.x_mm, v_mm_s: self.v_mm_s, a_mm_s2 };
         (self.x_mm, self.v_mm_s) = piece.at(piece.end_s());
         self.t_s = piece.end_s();
         self.pieces.push_back(piece);
@@ -145,7 +151,7 @@ impl Plan<'_> {
 
     fn rest(&mut self, exact_mm: Option<f64>) {
         let x_mm = exact_mm.unwrap_or(self.x_mm);
-        self.pieces.push_back(Piece {
+        self.pieces.push_back(MotionSegment {
             t_s: self.t_s,
             length_s: f64::INFINITY,
             x_mm,

@@ -2,7 +2,7 @@
 
 use super::link::Wire;
 use super::scenario::TokenPlace;
-use super::world::{Scan, Shared};
+use super::world::{BenchState, Scan};
 use std::io;
 use std::net::TcpStream;
 use std::time::Duration;
@@ -15,7 +15,7 @@ const TOKEN: &[u8] = b"XXXXXXXX";
 ///
 /// # Errors
 /// Why the link ended.
-pub fn serve(shared: &Shared, mut link: TcpStream) -> io::Result<()> {
+pub fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> {
     let mut line = Vec::new();
     let mut bytes = [0_u8; 512];
     let mut stream_from: Option<u64> = None;
@@ -55,7 +55,7 @@ pub fn serve(shared: &Shared, mut link: TcpStream) -> io::Result<()> {
 }
 
 /// Sends the scans that are there; the number of the next one.
-fn stream(shared: &Shared, link: &mut TcpStream, from: u64) -> io::Result<u64> {
+fn stream(shared: &BenchState, link: &mut TcpStream, from: u64) -> io::Result<u64> {
     if shared.clock.now_s() < shared.paused_until_s() {
         std::thread::sleep(Duration::from_millis(5));
         return Ok(from);
@@ -77,7 +77,7 @@ fn stream(shared: &Shared, link: &mut TcpStream, from: u64) -> io::Result<u64> {
     Ok(scans.last().map_or(from, |s| s.serial + 1))
 }
 
-fn send(shared: &Shared, link: &mut TcpStream, bytes: &[u8]) -> io::Result<()> {
+fn send(shared: &BenchState, link: &mut TcpStream, bytes: &[u8]) -> io::Result<()> {
     match shared.scenario.interrogator.split_bytes {
         0 => Wire::send(link, bytes),
         n => bytes.chunks(n).try_for_each(|part| Wire::send(link, part)),
@@ -88,7 +88,7 @@ fn framed(payload: &[u8]) -> Vec<u8> {
     [format!("{:010}", payload.len()).as_bytes(), payload].concat()
 }
 
-fn answer(shared: &Shared, command: &str) -> Vec<u8> {
+fn answer(shared: &BenchState, command: &str) -> Vec<u8> {
     let rate = shared.scenario.interrogator.rate_hz;
     let text = match command.split_whitespace().next().unwrap_or_default() {
         "#GET_DATA" | "#GET_UNBUFFERED_DATA" => {
@@ -113,7 +113,7 @@ fn answer(shared: &Shared, command: &str) -> Vec<u8> {
 }
 
 /// One data frame, field by field at its offset.
-fn frame(shared: &Shared, scan: &Scan) -> Vec<u8> {
+fn frame(shared: &BenchState, scan: &Scan) -> Vec<u8> {
     let mut counts: Vec<u32> =
         scan.peaks_nm.iter().flatten().map(|nm| (nm * GRANULARITY).round() as u32).collect();
     counts.sort_unstable();

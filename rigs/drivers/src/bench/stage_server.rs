@@ -4,7 +4,7 @@ use super::ascii;
 use super::binary::{BinaryUnit, Message};
 use super::link::Wire;
 use super::scenario::StageProtocol;
-use super::world::Shared;
+use super::world::BenchState;
 use std::io;
 
 /// A line longer than this is noise.
@@ -14,18 +14,18 @@ const MAX_LINE: usize = 512;
 ///
 /// # Errors
 /// Why the link ended.
-pub fn serve(shared: &Shared, wire: &mut dyn Wire) -> io::Result<()> {
+pub fn serve(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
     match shared.scenario.stage.protocol {
         StageProtocol::Ascii => serve_ascii(shared, wire),
         StageProtocol::Binary => serve_binary(shared, wire),
     }
 }
 
-fn open(shared: &Shared) -> bool {
+fn open(shared: &BenchState) -> bool {
     !shared.stopping() && !shared.stage_cable.is_out()
 }
 
-fn serve_ascii(shared: &Shared, wire: &mut dyn Wire) -> io::Result<()> {
+fn serve_ascii(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
     let mut line = Vec::new();
     let mut bytes = [0_u8; 256];
     let mut heard = false;
@@ -71,7 +71,7 @@ fn serve_ascii(shared: &Shared, wire: &mut dyn Wire) -> io::Result<()> {
     Ok(())
 }
 
-fn serve_binary(shared: &Shared, wire: &mut dyn Wire) -> io::Result<()> {
+fn serve_binary(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
     let spec = &shared.scenario.stage.unit;
     let mut face = BinaryUnit::new(1, spec.device_id, 513, spec.serial);
     let mut pending = Vec::new();
@@ -106,7 +106,7 @@ fn serve_binary(shared: &Shared, wire: &mut dyn Wire) -> io::Result<()> {
     Ok(())
 }
 
-fn wrong_speed(shared: &Shared, wire: &dyn Wire) -> bool {
+fn wrong_speed(shared: &BenchState, wire: &dyn Wire) -> bool {
     let speeds = shared.scenario.stage.baud.zip(wire.baud());
     speeds.is_some_and(|(own, peer)| own != peer)
 }

@@ -2,7 +2,7 @@
 
 use super::clock::BenchClock;
 use super::faults::{Fault, ScheduledFault};
-use super::link::{Cable, Flood, ReplyFault};
+use super::link::{Cable, ReplyFault, UnsolicitedTraffic};
 use super::plant::{Physics, Plant};
 use super::scenario::{CameraScenario, Scenario};
 use super::scene::Scene;
@@ -81,7 +81,7 @@ impl CameraState {
 }
 
 /// Shared by all threads of one bench.
-pub struct Shared {
+pub struct BenchState {
     /// The truth.
     pub scenario: Scenario,
     /// Bench time.
@@ -110,7 +110,7 @@ pub(super) fn guard<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Shared {
+impl BenchState {
     /// A bench that starts now.
     #[must_use]
     pub fn new(scenario: Scenario, plant: Option<Box<dyn Plant>>) -> Arc<Self> {
@@ -311,8 +311,8 @@ impl Shared {
             Fault::LateReply => self.stage_cable.disturb(ReplyFault::Late),
             Fault::ForeignReply => self.stage_cable.disturb(ReplyFault::Foreign),
             Fault::InfoLines => self.stage_cable.disturb(ReplyFault::Info),
-            Fault::AlertFlood { on } => self.stage_cable.flood(on.then_some(Flood::Alerts)),
-            Fault::ForeignFlood { on } => self.stage_cable.flood(on.then_some(Flood::Foreign)),
+            Fault::AlertFlood { on } => self.stage_cable.flood(on.then_some(UnsolicitedTraffic::Alerts)),
+            Fault::ForeignFlood { on } => self.stage_cable.flood(on.then_some(UnsolicitedTraffic::Foreign)),
             Fault::NeverAccept { on } => self.never_accepts.store(on, Ordering::SeqCst),
             Fault::ClockDrift { ppm } => guard(&self.unit_clock).drift(t_s, ppm),
             Fault::ClockStep { seconds } => guard(&self.unit_clock).step(t_s, seconds),

@@ -1,6 +1,6 @@
 //! The interrogator at the other end of a TCP connection.
 
-use super::stream::{Item, StreamDecoder};
+use super::stream::{StreamDecoder, StreamItem};
 use crate::link::Link;
 use std::time::Duration;
 use wcal_core::clock::HostClock;
@@ -53,11 +53,11 @@ impl Sm130 {
         self.owed += 1;
         let deadline = self.link.deadline(REPLY);
         loop {
-            let found = self.item(command, &deadline, |item| !matches!(item, Item::Frame(_)))?;
+            let found = self.item(command, &deadline, |item| !matches!(item, StreamItem::Frame(_)))?;
             self.owed -= 1;
             match found {
                 _ if self.owed > 0 => {}
-                Item::Text(text) => return Ok(text),
+                StreamItem::Text(text) => return Ok(text),
                 other => {
                     return Err(self.fail(DeviceErrorKind::Protocol, command, "text", format!("{other:?}")));
                 }
@@ -72,7 +72,7 @@ impl Sm130 {
     pub fn scan(&mut self) -> Result<FbgReading, DeviceError> {
         self.send("#GET_UNBUFFERED_DATA")?;
         match self.item("#GET_UNBUFFERED_DATA", &self.link.deadline(REPLY), |_| true)? {
-            Item::Frame(frame) => Ok(frame.reading(self.clock.now_s())),
+            StreamItem::Frame(frame) => Ok(frame.reading(self.clock.now_s())),
             other => Err(self.fail(DeviceErrorKind::Protocol, "scan", "a data frame", format!("{other:?}"))),
         }
     }
@@ -90,8 +90,8 @@ impl Sm130 {
         &mut self,
         action: &str,
         deadline: &Deadline,
-        wanted: impl Fn(&Item) -> bool,
-    ) -> Result<Item, DeviceError> {
+        wanted: impl Fn(&StreamItem) -> bool,
+    ) -> Result<StreamItem, DeviceError> {
         loop {
             while let Some(item) = self.decoder.next_item() {
                 if wanted(&item) {
@@ -144,7 +144,7 @@ impl Interrogator for Sm130 {
         let host_s = self.clock.now_s();
         let mut readings = Vec::new();
         while let Some(item) = self.decoder.next_item() {
-            if let Item::Frame(frame) = item {
+            if let StreamItem::Frame(frame) = item {
                 readings.push(frame.reading(host_s));
             }
         }
@@ -157,7 +157,9 @@ impl Interrogator for Sm130 {
         }
         self.send("#SET_STREAMING_DATA 0")?;
         // What still streams does not prolong the wait; a user who wants an end gets it.
-        self.item("stop streaming", &Deadline::whatever_happens(REPLY), |i| matches!(i, Item::Stopped))?;
+        self.item("stop streaming", &Deadline::whatever_happens(REPLY), |i| {
+            matches!(i, StreamItem::Stopped)
+        })?;
         self.decoder.set_streaming(false);
         Ok(())
     }

@@ -15,7 +15,7 @@ const MAX_TEXT: usize = 4096;
 
 /// What the stream held next.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Item {
+pub enum StreamItem {
     /// A data frame.
     Frame(Frame),
     /// A text reply.
@@ -35,7 +35,7 @@ pub struct StreamDecoder {
 
 /// Outcome of one parse of the buffer.
 enum Parsed {
-    Found(usize, Item),
+    Found(usize, StreamItem),
     Token(usize),
     NeedMore,
     Garbage,
@@ -63,7 +63,7 @@ impl StreamDecoder {
     }
 
     /// The next item; `None` until more bytes come.
-    pub fn next_item(&mut self) -> Option<Item> {
+    pub fn next_item(&mut self) -> Option<StreamItem> {
         loop {
             match parse_next(&self.buffer[self.at..], self.streaming) {
                 Parsed::Found(length, item) => {
@@ -88,7 +88,7 @@ fn parse_next(rest: &[u8], streaming: bool) -> Parsed {
             return match (known == token.len(), token == STOP_TOKEN) {
                 (false, _) => Parsed::NeedMore,
                 (true, false) => Parsed::Token(known),
-                (true, true) => Parsed::Found(known, Item::Stopped),
+                (true, true) => Parsed::Found(known, StreamItem::Stopped),
             };
         }
     }
@@ -110,7 +110,7 @@ fn parse_next(rest: &[u8], streaming: bool) -> Parsed {
                 return Parsed::NeedMore;
             }
             return match frame::decode(body) {
-                Ok(frame) => Parsed::Found(PREFIX + stated, Item::Frame(frame)),
+                Ok(frame) => Parsed::Found(PREFIX + stated, StreamItem::Frame(frame)),
                 Err(_) => Parsed::Garbage,
             };
         }
@@ -128,7 +128,7 @@ fn parse_next(rest: &[u8], streaming: bool) -> Parsed {
     let text = &body[..stated];
     // Where the stop token counts as part of the reply, leave it for the next parse.
     let text = text.strip_suffix(STOP_TOKEN).unwrap_or(text);
-    Parsed::Found(PREFIX + text.len(), Item::Text(String::from_utf8_lossy(text).into_owned()))
+    Parsed::Found(PREFIX + text.len(), StreamItem::Text(String::from_utf8_lossy(text).into_owned()))
 }
 
 fn is_text(b: u8) -> bool {
@@ -159,7 +159,7 @@ mod tests {
     fn drain(decoder: &mut StreamDecoder) -> Vec<u32> {
         let mut serials = Vec::new();
         while let Some(item) = decoder.next_item() {
-            if let Item::Frame(f) = item {
+            if let StreamItem::Frame(f) = item {
                 serials.push(f.serial);
             }
         }
@@ -241,10 +241,10 @@ mod tests {
         stream.extend(STOP_TOKEN);
         let mut decoder = StreamDecoder::default();
         decoder.push(&stream);
-        assert_eq!(decoder.next_item(), Some(Item::Text("Streaming data enabled.\n".to_owned())));
-        assert!(matches!(decoder.next_item(), Some(Item::Frame(_))));
-        assert_eq!(decoder.next_item(), Some(Item::Text("Streaming data disabled.\n".to_owned())));
-        assert_eq!(decoder.next_item(), Some(Item::Stopped));
+        assert_eq!(decoder.next_item(), Some(StreamItem::Text("Streaming data enabled.\n".to_owned())));
+        assert!(matches!(decoder.next_item(), Some(StreamItem::Frame(_))));
+        assert_eq!(decoder.next_item(), Some(StreamItem::Text("Streaming data disabled.\n".to_owned())));
+        assert_eq!(decoder.next_item(), Some(StreamItem::Stopped));
         assert_eq!(decoder.next_item(), None);
     }
 

@@ -46,7 +46,7 @@ pub struct ZaberBinary {
 
 /// Messages that were passed over: of other units, and of this one.
 #[derive(Debug, Default)]
-struct Passed {
+struct SkippedMessages {
     others: u32,
     own: u32,
 }
@@ -143,7 +143,7 @@ impl ZaberBinary {
         let action = format!("command {command}");
         self.send(command, data, deadline)?;
         self.owed = true;
-        let mut passed = Passed::default();
+        let mut passed = SkippedMessages::default();
         loop {
             match self.next(&action, deadline, &mut passed)? {
                 (code, value) if code == answer => {
@@ -164,7 +164,7 @@ impl ZaberBinary {
     fn catch_up(&mut self, deadline: &Deadline) -> Result<(), DeviceError> {
         self.echo = self.echo.wrapping_add(1) & 0xffff;
         self.send(ECHO, self.echo, deadline)?;
-        let mut passed = Passed::default();
+        let mut passed = SkippedMessages::default();
         loop {
             match self.next("echo", deadline, &mut passed)? {
                 (ECHO, data) if data == self.echo => break,
@@ -182,13 +182,13 @@ impl ZaberBinary {
         &mut self,
         action: &str,
         deadline: &Deadline,
-        passed: &mut Passed,
+        passed: &mut SkippedMessages,
     ) -> Result<(u8, i32), DeviceError> {
         loop {
             let mut six = [0_u8; 6];
             self.wire.read_exact(&mut six).map_err(|e| match is_timeout(&e) {
                 true => {
-                    let Passed { others, own } = passed;
+                    let SkippedMessages { others, own } = passed;
                     let among = format!("none among {others} messages of other units and {own} of its own");
                     let found = if *others + *own == 0 { "none" } else { &among };
                     deadline.error(&self.name, action, "a reply", found)

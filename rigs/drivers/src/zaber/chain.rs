@@ -41,7 +41,7 @@ pub struct Chain {
 
 /// What came instead of the reply: none of it is an answer, and none of it prolongs the wait.
 #[derive(Debug, Default)]
-struct Passed {
+struct SkippedMessages {
     alerts: u32,
     others: u32,
     late: u32,
@@ -49,7 +49,7 @@ struct Passed {
     noise: u32,
 }
 
-impl Passed {
+impl SkippedMessages {
     fn note(&mut self, response: &AnyResponse, device: u8) {
         let own = |r: &Reply| r.target().device() == device;
         match response {
@@ -171,12 +171,12 @@ impl Chain {
     ) -> Result<Answer, DeviceError> {
         self.port.backend_mut().until(deadline.clone());
         let sent = self.port.command((device, axis, command));
-        let id = sent.map_err(|e| self.translate(command, &e, deadline, &Passed::default()))?;
+        let id = sent.map_err(|e| self.translate(command, &e, deadline, &SkippedMessages::default()))?;
         let meant = |r: &Reply| {
             let (unit, own_axis) = (r.target().device(), r.target().axis());
             (device == 0 || unit == device) && (axis == 0 || own_axis == axis) && r.id() == id
         };
-        let mut passed = Passed::default();
+        let mut passed = SkippedMessages::default();
         let reply = loop {
             let found = self.port.response::<AnyResponse>();
             match found.and_then(|r| r.check(check::unchecked()).map_err(AsciiError::from)) {
@@ -209,7 +209,7 @@ impl Chain {
         command: &str,
         error: &AsciiError,
         deadline: &Deadline,
-        passed: &Passed,
+        passed: &SkippedMessages,
     ) -> DeviceError {
         let kind = match error {
             // In a flood the deadline falls into the middle of a line.

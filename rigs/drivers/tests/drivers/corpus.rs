@@ -3,7 +3,7 @@
 use serde_json::Value;
 use std::path::Path;
 use wcal_drivers::sm130::frame::Frame;
-use wcal_drivers::sm130::stream::{Item, StreamDecoder};
+use wcal_drivers::sm130::stream::{StreamDecoder, StreamItem};
 
 fn decode(bytes: &[u8], step: usize) -> (Vec<Frame>, u64) {
     let mut decoder = StreamDecoder::default();
@@ -12,7 +12,7 @@ fn decode(bytes: &[u8], step: usize) -> (Vec<Frame>, u64) {
     for part in bytes.chunks(step) {
         decoder.push(part);
         while let Some(item) = decoder.next_item() {
-            if let Item::Frame(frame) = item {
+            if let StreamItem::Frame(frame) = item {
                 frames.push(frame);
             }
         }

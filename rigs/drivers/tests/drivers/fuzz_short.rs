@@ -5,14 +5,14 @@ use proptest::prelude::*;
 use wcal_drivers::bench::{ascii, binary, unit::Unit};
 use wcal_drivers::cameras::folder::parse_pgm;
 use wcal_drivers::hyperion::frame;
-use wcal_drivers::sm130::stream::{Item, StreamDecoder};
+use wcal_drivers::sm130::stream::{StreamDecoder, StreamItem};
 
 /// The items as text: a peak without a value is NaN, which equals nothing.
 fn items(bytes: &[u8], step: usize) -> Vec<String> {
     let (mut decoder, mut items) = (StreamDecoder::default(), Vec::new());
     for part in bytes.chunks(step.max(1)) {
         decoder.push(part);
-        items.extend(std::iter::from_fn(|| decoder.next_item()).map(|item: Item| format!("{item:?}")));
+        items.extend(std::iter::from_fn(|| decoder.next_item()).map(|item: StreamItem| format!("{item:?}")));
     }
     items
 }

@@ -17,7 +17,7 @@ mod tags;
 
 pub use faces::{Face, Paint};
 pub use lens::{Lens, look_at};
-pub use picture::{Look, clean, exposed};
+pub use picture::{Appearance, clean, exposed};
 pub use rig::{Board, CameraFaults, RigGeometry, default_pair};
 pub use scene::{Groove, View};
 pub use tags::{TAG_CELLS, tag_cells};

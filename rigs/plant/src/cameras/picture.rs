@@ -11,7 +11,7 @@ use super::scene::View;
 
 /// How a camera and its light make a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Look {
+pub struct Appearance {
     /// Grey value of a reflectance of 1 in the middle of the picture; past 255 the picture saturates.
     pub exposure_dn: f64,
     /// Reflectance of the background.
@@ -30,7 +30,7 @@ pub struct Look {
     pub shot_noise_dn: f64,
 }
 
-impl Default for Look {
+impl Default for Appearance {
     fn default() -> Self {
         Self {
             exposure_dn: 235.0,
@@ -51,7 +51,7 @@ const LATTICE_STEP: usize = 21;
 
 /// A straight piece of the wire's image.
 #[derive(Debug, Clone, Copy)]
-struct Piece {
+struct ImageSegment {
     from: Vector2<f64>,
     to: Vector2<f64>,
     half_px: f64,
@@ -61,7 +61,7 @@ struct Piece {
 }
 
 /// Picture before noise, grey values row by row, not limited to 255.
-pub fn clean(lens: &Lens, view: &View, look: &Look) -> Vec<f32> {
+pub fn clean(lens: &Lens, view: &View, look: &Appearance) -> Vec<f32> {
     let [width, height] = lens.size_px;
     let faces: Vec<SeenFace<'_>> = view.faces.iter().map(|f| f.seen(&lens.camera_from_base)).collect();
     let boxes: Vec<[usize; 4]> =
@@ -115,7 +115,7 @@ pub fn clean(lens: &Lens, view: &View, look: &Look) -> Vec<f32> {
 }
 
 /// Noise and 8 bits.
-pub fn exposed(clean: &[f32], look: &Look, seed: u64) -> Vec<u8> {
+pub fn exposed(clean: &[f32], look: &Appearance, seed: u64) -> Vec<u8> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let read = (look.read_noise_dn * look.read_noise_dn) as f32;
     let shot = look.shot_noise_dn as f32;
@@ -146,7 +146,7 @@ fn bounds(lens: &Lens, base_from_plane: &nalgebra::Isometry3<f64>, corners: &[[f
 type ImagePoint = Option<(Vector2<f64>, f64)>;
 
 /// Image of the wire, piece by piece.
-fn wire_pieces(lens: &Lens, view: &View) -> Vec<Piece> {
+fn wire_pieces(lens: &Lens, view: &View) -> Vec<ImageSegment> {
     let focal = 0.5 * (lens.focal_px[0] + lens.focal_px[1]);
     let seen: Vec<_> = view.wire.iter().map(|p| lens.project(p)).collect();
     let count = seen.len().saturating_sub(1);
@@ -154,13 +154,13 @@ fn wire_pieces(lens: &Lens, view: &View) -> Vec<Piece> {
         let ((from, z0), (to, z1)) = (w[0]?, w[1]?);
         let depth_mm = 0.5 * (z0 + z1);
         let half_px = 0.5 * view.diameter_mm * focal / depth_mm;
-        Some(Piece { from, to, half_px, depth_mm, ends: [k == 0, k + 1 == count] })
+        Some(ImageSegment { from, to, half_px, depth_mm, ends: [k == 0, k + 1 == count] })
     };
     seen.windows(2).enumerate().filter_map(piece).collect()
 }
 
 /// For every pixel near the wire the nearest piece, counted from 1; 0: none.
-fn nearest_pieces(lens: &Lens, pieces: &[Piece]) -> Vec<u16> {
+fn nearest_pieces(lens: &Lens, pieces: &[ImageSegment]) -> Vec<u16> {
     let [width, height] = lens.size_px;
     let mut near = vec![0_u16; width * height];
     let mut distance = std::collections::HashMap::new();
@@ -186,7 +186,7 @@ fn nearest_pieces(lens: &Lens, pieces: &[Piece]) -> Vec<u16> {
     near
 }
 
-impl Piece {
+impl ImageSegment {
     /// From the piece's nearest point to `p`, and where along the piece that lies (0..1 inside).
     fn off(&self, p: &Vector2<f64>) -> (Vector2<f64>, f64) {
         let run = self.to - self.from;
@@ -205,12 +205,12 @@ impl Piece {
 const BANDS: usize = 6;
 
 /// Shade of the wire at `u` half widths from its middle.
-fn wire_shade(look: &Look, u: f64) -> f64 {
+fn wire_shade(look: &Appearance, u: f64) -> f64 {
     look.wire * (1.0 + 0.1 * u) + look.highlight * (-((u + 0.3) / 0.35).powi(2)).exp()
 }
 
 /// Exact mean of a pixel that the wire crosses as a straight strip over a ground of one shade.
-fn strip(pieces: &[Piece], look: &Look, ground: f64, row: usize, column: usize) -> f64 {
+fn strip(pieces: &[ImageSegment], look: &Appearance, ground: f64, row: usize, column: usize) -> f64 {
     let p = Vector2::new(column as f64, row as f64);
     let nearest = pieces.iter().min_by(|a, b| a.off(&p).0.norm().total_cmp(&b.off(&p).0.norm()));
     let Some(piece) = nearest else { return ground };
@@ -246,10 +246,10 @@ fn half_plane(s: f64, a: f64, b: f64) -> f64 {
 /// Mean of a pixel over the lattice, for edges, ends and hidden wire.
 fn sampled(
     lens: &Lens,
-    look: &Look,
+    look: &Appearance,
     faces: &[SeenFace<'_>],
     boxes: &[[usize; 4]],
-    pieces: &[Piece],
+    pieces: &[ImageSegment],
     row: usize,
     column: usize,
 ) -> f64 {
@@ -301,7 +301,7 @@ impl RowLight {
     }
 }
 
-fn light_across(lens: &Lens, look: &Look, row: usize) -> RowLight {
+fn light_across(lens: &Lens, look: &Appearance, row: usize) -> RowLight {
     let middle = 0.5 * lens.size_px[0] as f64;
     let down = (row as f64 - 0.5 * lens.size_px[1] as f64) / middle;
     let (slope, fall) = (0.5 * look.uneven[0], 0.5 * look.uneven[1]);

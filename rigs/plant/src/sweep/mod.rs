@@ -8,7 +8,7 @@ pub mod body;
 pub mod slide;
 
 use crate::bench::Bench;
-use crate::case::{Case, Request, Want, put};
+use crate::case::{Case, CaseKind, Request, put};
 use crate::layout::Design;
 use crate::{PlantError, session};
 use body::{Body, Outline};
@@ -231,7 +231,7 @@ impl SweepCase {
         let request = Request {
             seed: self.seed,
             design: Design::Paper,
-            want: Want::Null,
+            want: CaseKind::Null,
             target_sigma: 0.0,
             rivals: false,
         };

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use wcal_plant::cameras::{
-    CameraFaults, Groove, Lens, Look, RigGeometry, View, clean, default_pair, exposed, tag_cells,
+    Appearance, CameraFaults, Groove, Lens, RigGeometry, View, clean, default_pair, exposed, tag_cells,
 };
 use wcal_plant::rod::Wire;
 use wcal_plant::table::{Path, equilibrium};
@@ -80,7 +80,7 @@ fn a_lens_inverts_its_distortion_and_a_straight_line_bends() {
 /// What the wire takes from an even ground is its width times its length in the picture, wherever it lies between the pixels.
 #[test]
 fn a_wire_takes_its_area_and_lies_on_its_centre_line() {
-    let look = Look { uneven: [0.0; 2], highlight: 0.0, blur_px: 0.6, ..Look::default() };
+    let look = Appearance { uneven: [0.0; 2], highlight: 0.0, blur_px: 0.6, ..Appearance::default() };
     for lens in default_pair(SIZE) {
         for (a, b) in [
             (V3::new(10.0, 0.0, -20.0), V3::new(50.0, 0.0, 5.0)),
@@ -119,7 +119,7 @@ fn a_wire_takes_its_area_and_lies_on_its_centre_line() {
 #[test]
 fn edges_of_a_tag_lie_where_they_project_to() {
     let rig = RigGeometry::default();
-    let look = Look { uneven: [0.0; 2], blur_px: 0.0, ..Look::default() };
+    let look = Appearance { uneven: [0.0; 2], blur_px: 0.0, ..Appearance::default() };
     let groove = Groove { position_mm: V3::new(25.0, 0.0, 0.0), axis: V3::x(), push: V3::z() };
     let mut view = rig.scene(Vec::new(), Some(&groove));
     // The base's tag alone: what is dark is its black cells' area.
@@ -144,7 +144,7 @@ fn edges_of_a_tag_lie_where_they_project_to() {
 
 #[test]
 fn noise_has_its_stated_variance_and_bright_pictures_saturate() {
-    let look = Look { uneven: [0.0; 2], ..Look::default() };
+    let look = Appearance { uneven: [0.0; 2], ..Appearance::default() };
     let even = vec![100.0_f32; 640 * 480];
     let grey = exposed(&even, &look, 1);
     let mean = grey.iter().map(|v| f64::from(*v)).sum::<f64>() / grey.len() as f64;
@@ -160,7 +160,7 @@ fn noise_has_its_stated_variance_and_bright_pictures_saturate() {
 #[test]
 fn pictures_hold_the_board_and_show_faults() {
     let rig = RigGeometry::default();
-    let look = Look::default();
+    let look = Appearance::default();
     let cameras = default_pair(SIZE);
     for (k, (s, direction, depth)) in [
         (18.0, V3::z(), 4.0),

@@ -7,11 +7,11 @@ use wcal_plant::scalar;
 use wcal_plant::session::draw_on;
 use wcal_plant::simulate::Plant;
 use wcal_plant::{
-    Case, Design, Make, Noise, Request, ScalarEffect, ScalarNoise, ScalarRequest, Want, draw_under,
+    Case, CaseKind, Design, Make, Noise, Request, ScalarEffect, ScalarNoise, ScalarRequest, draw_under,
 };
 
 fn request(seed: u64, design: Design) -> Request {
-    Request { seed, design, want: Want::Null, target_sigma: 8.0, rivals: false }
+    Request { seed, design, want: CaseKind::Null, target_sigma: 8.0, rivals: false }
 }
 
 /// A case with its compensated residuals: readings less everything that is no noise, pm.
@@ -321,7 +321,7 @@ fn layouts_come_back_to_poses_as_they_say() {
         let stays = visits(&rows).windows(2).filter(|w| w[0] == w[1]).count();
         assert_eq!(stays > 0, matches!(design, Design::Repeats | Design::Shuffled), "{design:?} {stays}");
         // Loaded poses met again after another, the same way and with the same dwell.
-        let key = |p: &wcal_plant::layout::Planned| {
+        let key = |p: &wcal_plant::layout::PlannedRow| {
             (p.trajectory, p.commanded_mm.to_bits(), p.direction, p.dwell_s.to_bits())
         };
         let settled = || rows.iter().filter(|p| p.role != "rest" && p.speed_mm_s == 0.0);
@@ -357,7 +357,7 @@ fn the_thin_wire_is_another_wire() {
 #[test]
 fn size_is_measured_against_the_true_covariance() {
     let sized = |noise| {
-        let want = Want::Effects(vec![wcal_plant::Kind::TemperatureLinear]);
+        let want = CaseKind::Effects(vec![wcal_plant::Kind::TemperatureLinear]);
         let order = Request { want, target_sigma: 12.0, ..request(6, Design::Rich) };
         draw_under(&order, noise, Make::Usual).unwrap()
     };

@@ -1,10 +1,10 @@
 //! Drawn sessions: their form, their sizes, their laws, and tampering.
 
-use wcal_plant::adversarial::Trick;
+use wcal_plant::adversarial::Tampering;
 use wcal_plant::effects::ALL;
-use wcal_plant::{Case, Design, Kind, Request, Want, draw};
+use wcal_plant::{Case, CaseKind, Design, Kind, Request, draw};
 
-fn request(seed: u64, design: Design, want: Want, target_sigma: f64) -> Request {
+fn request(seed: u64, design: Design, want: CaseKind, target_sigma: f64) -> Request {
     Request { seed, design, want, target_sigma, rivals: false }
 }
 
@@ -20,7 +20,7 @@ fn columns(path: &std::path::Path) -> Vec<Vec<String>> {
 fn written_sessions_have_the_practice_form() {
     let folder = tempfile::tempdir().unwrap();
     for (design, count, calibration, rests) in [(Design::Rich, 360, 27, 36), (Design::Paper, 36, 27, 9)] {
-        let case = draw(&request(3, design, Want::Null, 8.0)).unwrap();
+        let case = draw(&request(3, design, CaseKind::Null, 8.0)).unwrap();
         let out = folder.path().join("case-001");
         case.write(&out).unwrap();
         let points = columns(&out.join("points.csv"));
@@ -44,7 +44,7 @@ fn written_sessions_have_the_practice_form() {
 
 #[test]
 fn truth_has_the_practice_keys_and_the_draw_repeats() {
-    let order = request(9, Design::Paper, Want::Effects(vec![Kind::CreepProny1]), 8.0);
+    let order = request(9, Design::Paper, CaseKind::Effects(vec![Kind::CreepProny1]), 8.0);
     let (a, b) = (draw(&order).unwrap(), draw(&order).unwrap());
     assert_eq!(format!("{a:?}"), format!("{b:?}"));
     let truth = serde_json::to_value(&a.truth).unwrap();
@@ -69,7 +69,7 @@ fn truth_has_the_practice_keys_and_the_draw_repeats() {
 #[test]
 fn every_law_draws_and_reaches_its_size_or_says_so() {
     for (i, kind) in ALL.into_iter().enumerate() {
-        let case = draw(&request(100 + i as u64, Design::Rich, Want::Effects(vec![kind]), 12.0)).unwrap();
+        let case = draw(&request(100 + i as u64, Design::Rich, CaseKind::Effects(vec![kind]), 12.0)).unwrap();
         let t = &case.truth;
         assert!(t.projected_size_in_noises.is_finite(), "{kind:?}");
         if t.target_reached {
@@ -90,36 +90,37 @@ fn every_law_draws_and_reaches_its_size_or_says_so() {
 #[test]
 fn size_grows_with_the_target() {
     let size = |target| {
-        let order = request(5, Design::Rich, Want::Effects(vec![Kind::TemperatureLinear]), target);
+        let order = request(5, Design::Rich, CaseKind::Effects(vec![Kind::TemperatureLinear]), target);
         draw(&order).unwrap().truth
     };
     let (small, large) = (size(8.0), size(20.0));
     assert!((large.projected_size_in_noises / small.projected_size_in_noises - 2.5).abs() < 0.2);
     // A target that the physical range cannot give is recorded as missed.
-    let far = draw(&request(5, Design::Rich, Want::Effects(vec![Kind::StageScale]), 40.0)).unwrap().truth;
+    let far = draw(&request(5, Design::Rich, CaseKind::Effects(vec![Kind::StageScale]), 40.0)).unwrap().truth;
     assert!(!far.target_reached && far.projected_size_in_noises < 10.0);
 }
 
 #[test]
 fn tricks_leave_their_mark() {
-    let case = |trick| -> Case { draw(&request(7, Design::Rich, Want::Adversarial(trick), 8.0)).unwrap() };
-    let honest = draw(&request(7, Design::Rich, Want::Null, 8.0)).unwrap();
+    let case =
+        |trick| -> Case { draw(&request(7, Design::Rich, CaseKind::Adversarial(trick), 8.0)).unwrap() };
+    let honest = draw(&request(7, Design::Rich, CaseKind::Null, 8.0)).unwrap();
     let points = |c: &Case| c.readings.iter().filter(|r| !r.planned.holdout).cloned().collect::<Vec<_>>();
-    for trick in Trick::ALL {
+    for trick in Tampering::ALL {
         let c = case(trick);
         assert_ne!(c.readings, honest.readings, "{}", trick.name());
         assert_eq!(c.truth.label, "adversarial");
         assert!(!c.truth.expected.is_empty());
     }
-    let fake = points(&case(Trick::FakeReplicates));
+    let fake = points(&case(Tampering::FakeReplicates));
     let copies =
         (0..fake.len()).filter(|&i| i + 12 < fake.len() && fake[i].fbg_nm == fake[i + 12].fbg_nm).count();
     assert_eq!(copies, 99);
-    let backwards = points(&case(Trick::ClockBackwards));
+    let backwards = points(&case(Tampering::ClockBackwards));
     assert!(backwards.windows(2).all(|w| w[1].planned.t_s < w[0].planned.t_s));
-    let swapped = points(&case(Trick::SwappedPoses));
+    let swapped = points(&case(Tampering::SwappedPoses));
     let moved = swapped.iter().zip(points(&honest)).filter(|(a, b)| a.fbg_nm != b.fbg_nm).count();
     assert_eq!(moved, 2);
-    let metres = case(Trick::GrooveInMetres);
+    let metres = case(Tampering::GrooveInMetres);
     assert!(metres.readings.iter().all(|r| r.groove_mm[0] < 0.1));
 }

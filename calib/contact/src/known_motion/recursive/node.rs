@@ -2,7 +2,7 @@
 
 use super::RecursiveSettings;
 use crate::known_motion::contact_path::{ACROSS, PLAY_MM, State, play};
-use crate::known_motion::field::Held;
+use crate::known_motion::field::ContactMoments;
 use crate::known_motion::likelihood::{GROSS, TABLE_MM, TABLE_SHARE};
 use crate::known_motion::posterior::normal_share;
 use crate::known_motion::{MomentField, MotionRow};
@@ -54,8 +54,8 @@ pub(super) struct NodeFilter {
     /// Chi-squared of the innovations so far: every reading as regular, and with the larger noise of the outliers.
     pub chi2: [f64; 2],
     /// Readings that were outliers, by probability; and that of the last.
-    pub gross: f64,
-    pub last_gross: f64,
+    pub outlier: f64,
+    pub last_outlier: f64,
     /// Displacement along the push at which a reading bounded the onset last, mm.
     bounded_mm: Option<f64>,
     /// Contact's arc length and place at the reading before, where the wire was held: friction remembers them.
@@ -103,8 +103,8 @@ impl NodeFilter {
             covariance,
             ln: 0.0,
             chi2: [0.0; 2],
-            gross: 0.0,
-            last_gross: 0.0,
+            outlier: 0.0,
+            last_outlier: 0.0,
             bounded_mm: None,
             contact: None,
         };
@@ -170,8 +170,8 @@ impl NodeFilter {
         self.mean += off * b;
         self.ln = ln;
         self.chi2 = [0, 1].map(|k| a * self.chi2[k] + b * other.chi2[k]);
-        self.gross = a * self.gross + b * other.gross;
-        self.last_gross = a * self.last_gross + b * other.last_gross;
+        self.outlier = a * self.outlier + b * other.outlier;
+        self.last_outlier = a * self.last_outlier + b * other.last_outlier;
         if b > a {
             self.contact = other.contact;
         }
@@ -202,7 +202,7 @@ impl NodeFilter {
         reading: &Reading<'_>,
         place: &Vector3<f64>,
         touch: &Vector3<f64>,
-    ) -> Option<(Held, Matrix2x3<f64>)> {
+    ) -> Option<(ContactMoments, Matrix2x3<f64>)> {
         let (free, rate) = reading.field.held_and_rate(place, 0.0)?;
         let mu = reading.field.friction();
         if mu.coefficient <= 0.0 {
@@ -251,7 +251,7 @@ impl NodeFilter {
         found.slope.set_column(ONSET, &(rate * (reading.turn * -reading.push)));
         found.slope.set_column(GAP, &(rate * (reading.turn * self.across)));
         // Errors of the displacement enter through dm/dP.
-        for (j, way) in row.shared_way_mm.iter().enumerate() {
+        for (j, way) in row.shared_displacement_mm.iter().enumerate() {
             let mut column = found.slope.column_mut(COMMON + j);
             column += rate * way;
         }
@@ -331,8 +331,8 @@ impl NodeFilter {
                 self.ln += ln;
                 self.chi2[0] += squared;
                 self.chi2[1] += innovation.dot(&(inverse_used * innovation));
-                self.last_gross = 1.0 - is_regular;
-                self.gross += self.last_gross;
+                self.last_outlier = 1.0 - is_regular;
+                self.outlier += self.last_outlier;
                 self.contact = at.contact;
                 return;
             }
@@ -401,7 +401,7 @@ impl NodeFilter {
         node.covariance = (&a.covariance + &b.covariance) * 0.5;
         node.ln = mix(&|n| n.ln);
         node.chi2 = [0, 1].map(|c| mix(&|n| n.chi2[c]));
-        node.gross = 0.5 * (a.gross + b.gross);
+        node.outlier = 0.5 * (a.outlier + b.outlier);
         node.contact = a.contact.zip(b.contact).map(|(p, q)| (0.5 * (p.0 + q.0), (p.1 + q.1) * 0.5));
         Some(node)
     }

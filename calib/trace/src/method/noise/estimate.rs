@@ -24,7 +24,7 @@ const MIN_CORRELATED: usize = 20;
 
 /// Which parts are looked for.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sought {
+pub struct NoiseTerms {
     /// Correlation in time, where it gains more than this in -2 log restricted likelihood.
     pub correlated_gain: f64,
     /// Pose scatter.
@@ -33,7 +33,7 @@ pub struct Sought {
     pub law: bool,
 }
 
-impl Sought {
+impl NoiseTerms {
     /// Everything, each part at its level.
     pub const ALL: Self = Self { correlated_gain: CORRELATED_GAIN, pose: true, law: true };
     /// Everything, where a test rejects independent readings: whether something is shared is decided, only what it is is open.
@@ -59,7 +59,7 @@ pub fn estimate(
     model: &MeanModel,
     inputs: &NoiseInputs,
     counted: &Weights,
-    sought: Sought,
+    noise_terms: NoiseTerms,
     seed: u64,
 ) -> Option<Noise> {
     let n = inputs.settings.len();
@@ -67,16 +67,16 @@ pub fn estimate(
     let known = inputs.own(common);
     let mask: Vec<f64> = (0..n).map(|i| if counted.counts(i) { known[i] } else { 0.0 }).collect();
     let law =
-        if sought.law { law_of(model, inputs, &Weights::independent(mask.clone()), seed) } else { None };
+        if noise_terms.law { law_of(model, inputs, &Weights::independent(mask.clone()), seed) } else { None };
     let relative = |law: &Option<SpreadModel>| match law {
         Some(l) => mask.iter().zip(l.relative_sd(inputs)).map(|(m, sd)| m / sd).collect(),
         None => mask.clone(),
     };
-    let (mut weights, mut correlated, mut pose) = shared_of(model, inputs, &relative(&law), sought)?;
+    let (mut weights, mut correlated, mut pose) = shared_of(model, inputs, &relative(&law), noise_terms)?;
     let mut law = law;
     if law.is_some() && weights.shared().is_some() {
         // What readings share can look like a law of the spread: it must hold among whitened readings, too.
-        let (plain, c, p) = shared_of(model, inputs, &mask, sought)?;
+        let (plain, c, p) = shared_of(model, inputs, &mask, noise_terms)?;
         if plain.shared().is_some() && law_of(model, inputs, &plain, seed).is_none() {
             (weights, correlated, pose, law) = (plain, c, p, None);
         }
@@ -166,7 +166,12 @@ pub fn best_misfit(model: &MeanModel, inputs: &NoiseInputs, noise: &Noise) -> Op
 }
 
 /// What readings share, by restricted likelihood, one part after the other.
-fn shared_of(model: &MeanModel, inputs: &NoiseInputs, relative: &[f64], sought: Sought) -> Option<Parts> {
+fn shared_of(
+    model: &MeanModel,
+    inputs: &NoiseInputs,
+    relative: &[f64],
+    noise_terms: NoiseTerms,
+) -> Option<Parts> {
     let at = |correlated: Option<[f64; 2]>, pose: f64| {
         Weights::sharing(relative.to_vec(), inputs.shared(correlated, pose))
     };
@@ -185,7 +190,7 @@ fn shared_of(model: &MeanModel, inputs: &NoiseInputs, relative: &[f64], sought: 
         .as_ref()
         .filter(|_| independent.active() >= MIN_CORRELATED)
         .and_then(|c| time_constants(c));
-    let can_pose = sought.pose && repeats >= MIN_HELD_REPEATS;
+    let can_pose = noise_terms.pose && repeats >= MIN_HELD_REPEATS;
     // Pose scatter alone, correlation alone, both.
     let pose_alone = can_pose.then(|| {
         best_of(&[-1.0, 0.0, 1.0, 2.0], |r| {
@@ -209,7 +214,7 @@ fn shared_of(model: &MeanModel, inputs: &NoiseInputs, relative: &[f64], sought: 
         found = (c, None, v[0].exp());
     }
     if let Some((v, c)) =
-        correlated_alone.filter(|(_, c)| plain - c > sought.correlated_gain && *c < found.0 - 2.0)
+        correlated_alone.filter(|(_, c)| plain - c > noise_terms.correlated_gain && *c < found.0 - 2.0)
     {
         found = (c, Some(v.map(f64::exp)), 0.0);
     }
@@ -221,7 +226,7 @@ fn shared_of(model: &MeanModel, inputs: &NoiseInputs, relative: &[f64], sought: 
         ];
         let (low, high) = ([ratio[0], tau[0], ratio[0]], [ratio[1], tau[1], ratio[1]]);
         let both = descend(start, [0.5; 3], low, high, &|v| cost(Some([v[0].exp(), v[1].exp()]), v[2].exp()));
-        let needed = if found.1.is_some() { POSE_GAIN } else { sought.correlated_gain };
+        let needed = if found.1.is_some() { POSE_GAIN } else { noise_terms.correlated_gain };
         if found.0 - both.1 > needed {
             found = (both.1, Some([both.0[0].exp(), both.0[1].exp()]), both.0[2].exp());
         }
@@ -312,7 +317,7 @@ mod tests {
 
     fn estimated(s: &Simulated) -> Noise {
         let model = MeanModel { design: &s.design, tangents: &[], residual: &s.residual, extra: Vec::new() };
-        estimate(&model, &s.inputs, &Weights::equal(120), Sought::ALL, 1).unwrap()
+        estimate(&model, &s.inputs, &Weights::equal(120), NoiseTerms::ALL, 1).unwrap()
     }
 
     #[test]

@@ -8,7 +8,7 @@ mod spread_model;
 pub mod tails;
 mod whitening;
 
-pub use estimate::{MIN_HELD_REPEATS, Sought, best_misfit, estimate};
+pub use estimate::{MIN_HELD_REPEATS, NoiseTerms, best_misfit, estimate};
 pub use likelihood::{MeanModel, Misfit, misfit};
 pub use parts::{Estimated, Noise, NoiseInputs};
 pub use spread_model::SpreadModel;

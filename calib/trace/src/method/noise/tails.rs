@@ -125,7 +125,7 @@ pub fn tails(residuals: &[f64]) -> Option<Tails> {
 
 /// The largest values that no tails explain, and their p-value.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Outlying {
+pub struct ExtremeValues {
     /// Values above this size.
     pub beyond: f64,
     /// How many.
@@ -136,7 +136,7 @@ pub struct Outlying {
 
 /// Looks for outlying values among `residuals`, at most `most` of them: from the most downwards, the first number whose p-value is below `level`.
 #[must_use]
-pub fn outlying(residuals: &[f64], most: usize, level: f64) -> Option<Outlying> {
+pub fn outlying(residuals: &[f64], most: usize, level: f64) -> Option<ExtremeValues> {
     let mut sorted: Vec<f64> = residuals.iter().map(|z| z.abs()).collect();
     sorted.sort_by(f64::total_cmp);
     let n = sorted.len();
@@ -153,7 +153,7 @@ pub fn outlying(residuals: &[f64], most: usize, level: f64) -> Option<Outlying> 
         let single = beyond(tails.heaviest, largest / tails.heaviest_scale);
         let p_value = Binomial::new(single.clamp(0.0, 1.0), n as u64).map_or(1.0, |b| b.sf(k as u64 - 1));
         if p_value < level {
-            return Some(Outlying { beyond: largest, count: k, p_value: p_value.max(1e-300) });
+            return Some(ExtremeValues { beyond: largest, count: k, p_value: p_value.max(1e-300) });
         }
     }
     None

@@ -39,7 +39,9 @@ pub(super) fn refusal(
     if x.len() < parameters || (parameters > 1 && !(scaling.half > 0.0)) {
         let count = x.len();
         return Some(
-            declared.worded(&format!("{count} different stimuli do not determine {parameters} coefficients")),
+            declared.format_text(&format!(
+                "{count} different stimuli do not determine {parameters} coefficients"
+            )),
         );
     }
     let fitted: Vec<ComparedRow> = rows.iter().map(compared).collect();
@@ -49,7 +51,7 @@ pub(super) fn refusal(
         })
         .or_else(|| sealed.refusal(|sealed| jittered_holdout(rows, sealed)))
         .or_else(|| constant_response(rows, declared))
-        .or_else(|| mistyped(rows, declared).map(|why| declared.worded(&why)))
+        .or_else(|| mistyped(rows, declared).map(|why| declared.format_text(&why)))
 }
 
 /// One value throughout, where the declared model follows the stimulus.

@@ -11,7 +11,7 @@
 
 use super::floor::{level_keys, protocol_keys, replicate_keys};
 use super::system::ScalarSystem;
-use crate::effect::{EffectTerm, Need};
+use crate::effect::{EffectTerm, LawRequirement};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, Weights, fit};
 use crate::method::hypothesis::{Hypothesis, NotIdentified, SearchResult};
@@ -139,13 +139,17 @@ impl ScalarSystem {
         let law = effect.law(term.law);
         // Laws with memory of the stimulus need the time, but follow the protocol; the settling of an earlier load does not.
         let by_stimulus = effect.has_memory() && law.name != "settling";
-        !by_stimulus && law.needs.iter().any(|n| matches!(n, Need::Clock | Need::Order | Need::Time))
+        !by_stimulus
+            && law
+                .needs
+                .iter()
+                .any(|n| matches!(n, LawRequirement::Clock | LawRequirement::Order | LawRequirement::Time))
     }
 
     /// The law depends on the stimulus of earlier times (lag, creep).
     fn remembers_in_time(&self, term: &EffectTerm) -> bool {
         let effect = &self.catalogue()[term.effect];
-        let by_time = |n: &Need| matches!(n, Need::Clock | Need::Time);
+        let by_time = |n: &LawRequirement| matches!(n, LawRequirement::Clock | LawRequirement::Time);
         effect.has_memory() && effect.law(term.law).needs.iter().any(by_time)
     }
 

@@ -26,7 +26,7 @@ pub enum Declared {
 impl Declared {
     /// A sentence about stimulus and response in the words of the session's kind: an axis has commanded and measured positions.
     #[must_use]
-    pub fn worded(self, sentence: &str) -> String {
+    pub fn format_text(self, sentence: &str) -> String {
         match self {
             Self::Polynomial(_) => sentence.to_owned(),
             Self::Axis => sentence

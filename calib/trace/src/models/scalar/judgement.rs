@@ -4,7 +4,7 @@ use super::model::{ModelError, ScalarModel};
 use super::system::ScalarSystem;
 use crate::measurement_model::MeasurementModel;
 use crate::method::inference::t95;
-use crate::verify::judgement::Judged;
+use crate::verify::judgement::JudgedReading;
 use crate::verify::{HeldOut, SessionModel};
 
 /// All readings, or those that were sealed, through the calibration.
@@ -15,7 +15,7 @@ pub fn of_model(
     system: &ScalarSystem,
     model: &ScalarModel,
     only_sealed: bool,
-) -> Result<Vec<Judged>, ModelError> {
+) -> Result<Vec<JudgedReading>, ModelError> {
     let rows = &system.frame.rows;
     let predictions = model.predict(rows)?;
     let quantile = t95(model.dof);
@@ -26,7 +26,7 @@ pub fn of_model(
             errors: vec![vec![error]],
             inside95: vec![error.abs() <= half95],
         };
-        Judged { held_out, in_sd: vec![error * quantile / half95] }
+        JudgedReading { held_out, in_sd: vec![error * quantile / half95] }
     };
     Ok((0..rows.len()).filter(|&i| !only_sealed || system.sealed()[i]).map(of).collect())
 }

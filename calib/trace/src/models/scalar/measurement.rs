@@ -6,7 +6,7 @@ use super::frame::Declared;
 use super::parameters::{self, of_effect};
 use super::predictions::{Fitted, Grouping, folds, follows_neighbours, predict};
 use super::spread_trend::explain_session;
-use super::steadiness::{UNSTEADY, steadiness};
+use super::stationarity::{UNSTEADY, stationarity};
 use super::system::ScalarSystem;
 use super::table::{deviations, has_table};
 use super::usable::{inapplicable, insensitive};
@@ -75,8 +75,8 @@ impl SessionModel for ScalarSystem {
         of_effect(self, &h.fit, effect, self.names())
     }
 
-    fn worded(&self, sentence: &str) -> String {
-        self.frame.declared.worded(sentence)
+    fn format_text(&self, sentence: &str) -> String {
+        self.frame.declared.format_text(sentence)
     }
 
     fn law_name(&self, name: &str) -> String {
@@ -116,16 +116,16 @@ impl SessionModel for ScalarSystem {
                 unit: "1".to_owned(),
                 interval95: spread.interval95,
             }],
-            sentence: self.worded(sentence.map_or("", |c| c.sentence())),
+            sentence: self.format_text(sentence.map_or("", |c| c.sentence())),
         })
     }
 
     /// A law of the clock that cells do not bear out is none. A period that wanders leaves its own traces along what it runs over; the reason says that it is not steady.
-    fn excuses(&self, found: &SearchResult) -> bool {
+    fn residual_explained(&self, found: &SearchResult) -> bool {
         if self.only_a_clock_is_left(found) {
             return true;
         }
-        steadiness(self, &found.best).is_some_and(|s| s.z > UNSTEADY)
+        stationarity(self, &found.best).is_some_and(|s| s.z > UNSTEADY)
             && found
                 .last_test
                 .covariates
@@ -135,7 +135,7 @@ impl SessionModel for ScalarSystem {
     }
 
     fn caveat(&self, accepted: &Hypothesis) -> Option<String> {
-        let s = steadiness(self, accepted).filter(|s| s.z > UNSTEADY)?;
+        let s = stationarity(self, accepted).filter(|s| s.z > UNSTEADY)?;
         Some(format!(
             "The frequency is not steady: {:.3} +- {:.3} cycles over the range by the first half, {:.3} +- {:.3} by the second.",
             s.cycles[0], s.standard_errors[0], s.cycles[1], s.standard_errors[1]

@@ -14,7 +14,7 @@ pub mod polynomial;
 pub mod predictions;
 mod scalar_effect;
 mod spread_trend;
-pub mod steadiness;
+pub mod stationarity;
 pub mod system;
 pub mod table;
 mod usable;

@@ -6,7 +6,7 @@ use super::parameters::Names;
 use super::polynomial::Polynomial;
 use super::predictions::{Fitted, predict};
 use super::system::{ScalarSystem, relative_sd_at};
-use crate::effect::{EffectTerm, Need};
+use crate::effect::{EffectTerm, LawRequirement};
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::lack_of_fit::LackOfFit;
@@ -270,13 +270,19 @@ impl ScalarModel {
     }
 
     /// What an effect's law needs of new rows, where they lack it.
-    fn missing(&self, needs: &[Need], frame: &Frame) -> Option<&'static str> {
-        let lacks = |need: &Need| match need {
-            Need::Order => Some(ONLY_THAT_SESSION),
-            Need::Time | Need::Clock if self.scaling.time.is_none() => Some(ONLY_THAT_SESSION),
-            Need::Time | Need::Clock => frame.time.is_none().then_some("t_s in every row"),
-            Need::Temperature => frame.temperature.is_none().then_some("temperature_degc in every row"),
-            Need::BothDirections => frame
+    fn missing(&self, needs: &[LawRequirement], frame: &Frame) -> Option<&'static str> {
+        let lacks = |need: &LawRequirement| match need {
+            LawRequirement::Order => Some(ONLY_THAT_SESSION),
+            LawRequirement::Time | LawRequirement::Clock if self.scaling.time.is_none() => {
+                Some(ONLY_THAT_SESSION)
+            }
+            LawRequirement::Time | LawRequirement::Clock => {
+                frame.time.is_none().then_some("t_s in every row")
+            }
+            LawRequirement::Temperature => {
+                frame.temperature.is_none().then_some("temperature_degc in every row")
+            }
+            LawRequirement::BothDirections => frame
                 .direction
                 .is_none()
                 .then_some("direction, t_s or the cycles of a to-and-fro table in every row"),

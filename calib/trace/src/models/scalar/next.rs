@@ -44,6 +44,6 @@ pub fn next_measurement(
             power(MAX_REPEATS + 1),
         ),
     };
-    let instruction = system.frame.declared.worded(&instruction);
+    let instruction = system.frame.declared.format_text(&instruction);
     Some(NextMeasurement { separates, instruction, poses: Vec::new(), expected_power })
 }

@@ -1,7 +1,7 @@
 //! A spread of the readings that follows the stimulus: tested on the search's residuals, and the search made again with it.
 
 use super::frame::Frame;
-use super::steadiness::{UNSTEADY, steadiness};
+use super::stationarity::{UNSTEADY, stationarity};
 use super::system::ScalarSystem;
 use super::table::in_place_of_laws;
 use crate::method::explain::{Explained, explain};
@@ -69,7 +69,7 @@ fn explain_with_spread(
     let of = |e: &Explained, system: &ScalarSystem| {
         test_spread(&system.frame, &e.found.best, options)
             .filter(|s| s.p_value <= SPREAD_LEVEL)
-            .filter(|_| steadiness(system, &e.found.best).is_none_or(|s| s.z <= UNSTEADY))
+            .filter(|_| stationarity(system, &e.found.best).is_none_or(|s| s.z <= UNSTEADY))
     };
     // What a model leaves where repeats contradict it grows where it is wrong: that is no noise either.
     let contradicted = system.pure_error(&plain.found.best).is_some_and(|l| l.p_value < LACK_OF_FIT_LEVEL);

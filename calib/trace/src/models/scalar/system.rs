@@ -5,7 +5,7 @@ use super::effects;
 use super::frame::{Declared, Frame, ScalarRow};
 use super::parameters::Names;
 use super::scalar_effect::ScalarEffect;
-use crate::effect::{Effect, EffectModel, EffectTerm, Need, Values};
+use crate::effect::{Effect, EffectModel, EffectTerm, LawRequirement, Values};
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::{Hypothesis, NotIdentified};
 use crate::method::noise::NoiseInputs;
@@ -16,26 +16,26 @@ use std::sync::Arc;
 use wcal_core::repeats::decimal_step;
 
 /// Why a session does not give what a law needs; none where it does.
-fn unmet(need: Need, frame: &Frame) -> Option<&'static str> {
+fn unmet(need: LawRequirement, frame: &Frame) -> Option<&'static str> {
     match need {
-        Need::Slope => {
+        LawRequirement::Slope => {
             (!frame.sloped()).then_some("the declared model is constant: it does not follow the stimulus")
         }
-        Need::Time => frame.time.is_none().then_some("the session has no time stamps"),
-        Need::Clock | Need::Order => (!frame.ordered).then_some(
+        LawRequirement::Time => frame.time.is_none().then_some("the session has no time stamps"),
+        LawRequirement::Clock | LawRequirement::Order => (!frame.ordered).then_some(
             "the table has no time stamps and is sorted by the stimulus, repetitions side by side: the order of the readings is unknown",
         ),
-        Need::BothDirections => frame.direction.is_none().then_some(
+        LawRequirement::BothDirections => frame.direction.is_none().then_some(
             "the table has no readings in both directions (column direction, or times with rising and falling stimulus)",
         ),
-        Need::Temperature => {
+        LawRequirement::Temperature => {
             frame.temperature.is_none().then_some("the session has no temperature column, or it is constant")
         }
-        Need::Covariate => {
+        LawRequirement::Covariate => {
             let none = frame.covariates.iter().all(Option::is_none);
             none.then_some("the table has no further covariate that varies")
         }
-        Need::Motion | Need::MovingBase | Need::Weight | Need::Pictures | Need::MovingPictures | Need::StraightArc | Need::RestReadings => None,
+        LawRequirement::Motion | LawRequirement::MovingBase | LawRequirement::Weight | LawRequirement::Pictures | LawRequirement::MovingPictures | LawRequirement::StraightArc | LawRequirement::RestReadings => None,
     }
 }
 

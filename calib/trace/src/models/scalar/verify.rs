@@ -6,7 +6,7 @@ use super::model::ScalarModel;
 use super::parameters::Names;
 use super::polynomial::{Polynomial, polynomial};
 use super::spread_trend::weak_trend;
-use super::steadiness::{Steadiness, steadiness};
+use super::stationarity::{Stationarity, stationarity};
 use super::system::ScalarSystem;
 use crate::error::TraceError;
 use crate::method::hypothesis::{Evidence, Hypothesis};
@@ -36,7 +36,7 @@ pub struct ScalarVerification {
     /// Trend of the spread, tested on the accepted model's residuals.
     pub spread: Option<Spread>,
     /// Halves compared, where a period was accepted.
-    pub steadiness: Option<Steadiness>,
+    pub stationarity: Option<Stationarity>,
     /// Residual standard deviations of the declared and the accepted model.
     pub residual_sd: [f64; 2],
     /// Explanations that were refitted, best first.
@@ -73,7 +73,7 @@ fn refused(session: &str, data: ScalarData<'_>, seed: u64, why: &str) -> ScalarV
         lack_of_fit_before: None,
         lack_of_fit_after: None,
         spread: None,
-        steadiness: None,
+        stationarity: None,
         residual_sd: [f64::NAN; 2],
         evidence: Vec::new(),
         gates: None,
@@ -120,7 +120,7 @@ fn with_coefficients(
     document.session = session.to_owned();
     if system.spread().is_none() {
         let remark = weak_trend(&system, &accepted, options);
-        document.notes.extend(remark.map(|note| system.frame.declared.worded(&note)));
+        document.notes.extend(remark.map(|note| system.frame.declared.format_text(&note)));
     }
     let x: Vec<f64> = system.frame.rows.iter().map(|r| r.x).collect();
     let y: Vec<f64> = system.frame.rows.iter().map(|r| r.y).collect();
@@ -145,7 +145,7 @@ fn with_coefficients(
         lack_of_fit_before: lack[0],
         lack_of_fit_after: lack[1],
         spread: system.spread().cloned(),
-        steadiness: steadiness(&system, &accepted),
+        stationarity: stationarity(&system, &accepted),
         residual_sd: [found.base.fit.variance().sqrt(), accepted.fit.variance().sqrt()],
         gates: Some([found.first_test.p_values(), found.last_test.p_values()]),
         evidence: found.evidence,

@@ -35,7 +35,7 @@ pub struct AcceptedWire {
 
 /// A reading with the groove's way; none of its numbers comes from the groove's place.
 #[derive(Debug, Clone, PartialEq)]
-pub struct MovedReading {
+pub struct ReadingWithMotion {
     /// Index in the system's path.
     pub reading: usize,
     /// Index of the trajectory in the path's lines.
@@ -51,7 +51,7 @@ pub struct MovedReading {
     /// By how much one standard deviation of each common unknown makes the moments too large, N mm.
     pub shared_nmm: Vec<[f64; 2]>,
     /// By how much it makes the stage's way longer, mm.
-    pub shared_way_mm: Vec<f64>,
+    pub shared_displacement_mm: Vec<f64>,
     /// Stage position as the accepted effects have it, mm.
     pub stage_mm: f64,
     /// What those effects added to it, mm.
@@ -61,7 +61,7 @@ pub struct MovedReading {
     /// Without load.
     pub rest: bool,
     /// Counts up where the contact was left: at rest, and where another trajectory stood between.
-    pub visit: u32,
+    pub contact_segment: u32,
 }
 
 /// Largest share of the noise that is taken to be correlated: a reading always has some of its own.
@@ -75,24 +75,24 @@ pub struct GrooveMotion {
     /// The wire by one standard deviation of each of the first common unknowns; the others leave it as it is.
     pub changed: Vec<AcceptedWire>,
     /// Readings on trajectories, in order of time.
-    pub readings: Vec<MovedReading>,
+    pub readings: Vec<ReadingWithMotion>,
     /// Share of the variance of the readings' noise that is correlated in time, and its time constant, s; none where none was found.
     pub correlated: Option<[f64; 2]>,
 }
 
 /// Moments of a reading through a calibration.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Sensed {
+pub struct CalibratedReading {
     /// Base moments, N mm.
     pub moment_nmm: [f64; 2],
     /// Covariance of the reading's own noise, (N mm)^2.
     pub noise_nmm2: Matrix2<f64>,
     /// Inside the region that the calibration was fitted in.
     pub valid: bool,
-    /// See [`MovedReading::shared_nmm`].
+    /// See [`ReadingWithMotion::shared_nmm`].
     pub shared_nmm: Vec<[f64; 2]>,
-    /// See [`MovedReading::shared_way_mm`].
-    pub shared_way_mm: Vec<f64>,
+    /// See [`ReadingWithMotion::shared_displacement_mm`].
+    pub shared_displacement_mm: Vec<f64>,
 }
 
 /// Readings without a stage through a calibration.
@@ -103,7 +103,7 @@ pub struct SensedReadings {
     /// See [`GrooveMotion::changed`].
     pub changed: Vec<AcceptedWire>,
     /// In the order of the path.
-    pub readings: Vec<Sensed>,
+    pub readings: Vec<CalibratedReading>,
 }
 
 /// Stage and wire under one set of values.
@@ -158,12 +158,12 @@ fn through(
     let sensed = |i: usize| {
         let (m, n) = (&inferred[i], node_of[i]);
         let common = &gradients[i] * &factor;
-        Sensed {
+        CalibratedReading {
             moment_nmm: m.moment_nmm,
             noise_nmm2,
             valid: m.valid,
             shared_nmm: common.column_iter().map(|u| [-u[0], -u[1]]).collect(),
-            shared_way_mm: others.iter().map(|o| o.xs_mm[n] - xs_mm[n]).collect(),
+            shared_displacement_mm: others.iter().map(|o| o.xs_mm[n] - xs_mm[n]).collect(),
         }
     };
     let readings = (0..path.readings.len()).map(sensed).collect();
@@ -198,11 +198,17 @@ pub fn of_readings(
     through(path, &|rod| rod_of(whisker, AIR_KG_M3, rod), model).map(|found| found.0)
 }
 
-fn sensed_by_map(predictor: &mut MapPredictor, shift_pm: [f64; 2]) -> Sensed {
+fn sensed_by_map(predictor: &mut MapPredictor, shift_pm: [f64; 2]) -> CalibratedReading {
     let p = predictor.predict(shift_pm);
     let MomentSpread { noise_nmm2, shared_nmm } = p.spread();
-    let shared_way_mm = vec![0.0; shared_nmm.len()];
-    Sensed { moment_nmm: p.moment_nmm, noise_nmm2, valid: p.is_valid(), shared_nmm, shared_way_mm }
+    let shared_displacement_mm = vec![0.0; shared_nmm.len()];
+    CalibratedReading {
+        moment_nmm: p.moment_nmm,
+        noise_nmm2,
+        valid: p.is_valid(),
+        shared_nmm,
+        shared_displacement_mm,
+    }
 }
 
 /// A wire without accepted deviations.
@@ -216,7 +222,7 @@ pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion>
     let mut predictor = MapPredictor::new(map).ok()?;
     let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
     let sensed = system.path.readings.iter().map(|r| sensed_by_map(&mut predictor, r.shift_pm));
-    let sensed: Vec<Sensed> = sensed.collect();
+    let sensed: Vec<CalibratedReading> = sensed.collect();
     let wire = nominal(system.rod_tables.rod(&RodParameters::default())?);
     let readings = readings(system, &xs, &sensed);
     Some(GrooveMotion { wire, changed: Vec::new(), readings, correlated: None })
@@ -238,7 +244,7 @@ pub fn of_shifts(
 }
 
 /// Readings on trajectories; `xs_mm` are the nodes' stage positions.
-fn readings(system: &WhiskerSystem, xs_mm: &[f64], sensed: &[Sensed]) -> Vec<MovedReading> {
+fn readings(system: &WhiskerSystem, xs_mm: &[f64], sensed: &[CalibratedReading]) -> Vec<ReadingWithMotion> {
     let path = &system.path;
     let mut stage_mm = vec![0.0; path.readings.len()];
     for (node, x) in path.nodes.iter().zip(xs_mm) {
@@ -246,15 +252,16 @@ fn readings(system: &WhiskerSystem, xs_mm: &[f64], sensed: &[Sensed]) -> Vec<Mov
             stage_mm[i] = *x;
         }
     }
-    let mut out: Vec<MovedReading> = Vec::with_capacity(path.readings.len());
-    let (mut visit, mut last) = (0, None);
+    let mut out: Vec<ReadingWithMotion> = Vec::with_capacity(path.readings.len());
+    let (mut contact_segment, mut last) = (0, None);
     for (i, r) in path.readings.iter().enumerate() {
         let here = (r.line, r.seating);
-        visit += u32::from(r.rest || last.is_some_and(|before| before != here));
+        contact_segment += u32::from(r.rest || last.is_some_and(|before| before != here));
         last = Some(here);
         let Some(line) = r.line else { continue };
-        let Sensed { moment_nmm, noise_nmm2, valid, shared_nmm, shared_way_mm } = sensed[i].clone();
-        out.push(MovedReading {
+        let CalibratedReading { moment_nmm, noise_nmm2, valid, shared_nmm, shared_displacement_mm } =
+            sensed[i].clone();
+        out.push(ReadingWithMotion {
             reading: i,
             line,
             t_s: r.t_s,
@@ -262,12 +269,12 @@ fn readings(system: &WhiskerSystem, xs_mm: &[f64], sensed: &[Sensed]) -> Vec<Mov
             valid,
             noise_nmm2,
             shared_nmm,
-            shared_way_mm,
+            shared_displacement_mm,
             stage_mm: stage_mm[i],
             added_mm: stage_mm[i] - r.x_mm,
             velocity_mm_s: r.velocity_mm_s,
             rest: r.rest,
-            visit,
+            contact_segment,
         });
     }
     out

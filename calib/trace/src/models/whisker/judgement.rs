@@ -5,7 +5,7 @@ use super::system::WhiskerSystem;
 use super::whisker_effect::ActiveEffect;
 use crate::effect::EffectTerm;
 use crate::verify::HeldOut;
-use crate::verify::judgement::Judged;
+use crate::verify::judgement::JudgedReading;
 use crate::verify::session_model::Quantity;
 use wcal_map::{MapArtefact, MapPredictor};
 
@@ -14,11 +14,11 @@ pub const QUANTITIES: [Quantity; 1] = [Quantity { key: "moment_rmse_nmm", unit: 
 /// Two-sided 95 % of a Gaussian.
 const NORMAL_95: f64 = 1.96;
 
-fn judged(group: u32, inferred: [f64; 2], sd: [f64; 2], pose: [f64; 2]) -> Judged {
+fn judged(group: u32, inferred: [f64; 2], sd: [f64; 2], pose: [f64; 2]) -> JudgedReading {
     let error = [0, 1].map(|c| inferred[c] - pose[c]);
     let in_sd: Vec<f64> = (0..2).map(|c| error[c] / sd[c]).collect();
     let inside95 = in_sd.iter().map(|z| z.abs() <= NORMAL_95).collect();
-    Judged { held_out: HeldOut { group, errors: vec![error.to_vec()], inside95 }, in_sd }
+    JudgedReading { held_out: HeldOut { group, errors: vec![error.to_vec()], inside95 }, in_sd }
 }
 
 /// Readings to be judged: all, or those that were sealed.
@@ -31,7 +31,11 @@ fn chosen(system: &WhiskerSystem, only_sealed: bool) -> Vec<usize> {
 /// Through sensitivity and accepted effects; those that act on the pose act on the moments that it is judged by. None where the rod has no
 /// equilibrium at the poses.
 #[must_use]
-pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel, only_sealed: bool) -> Option<Vec<Judged>> {
+pub fn of_model(
+    system: &WhiskerSystem,
+    model: &PhysicalModel,
+    only_sealed: bool,
+) -> Option<Vec<JudgedReading>> {
     let terms: Vec<EffectTerm> = model.terms().into_iter().map(ActiveEffect::into_term).collect();
     let (sensed, base) = system.moments(&terms)?;
     let memory: Vec<[f64; 2]> = base.iter().zip(&sensed).map(|(b, f)| [b[0] - f[0], b[1] - f[1]]).collect();
@@ -45,7 +49,7 @@ pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel, only_sealed: bool
 
 /// Through a map of moments; none where it or the rod cannot be used.
 #[must_use]
-pub fn of_map(system: &WhiskerSystem, map: &MapArtefact, only_sealed: bool) -> Option<Vec<Judged>> {
+pub fn of_map(system: &WhiskerSystem, map: &MapArtefact, only_sealed: bool) -> Option<Vec<JudgedReading>> {
     let mut predictor = MapPredictor::new(map).ok()?;
     let (_, base) = system.moments(&[])?;
     let mut of = |i: usize| {

@@ -73,7 +73,7 @@ fn is_lag(system: &WhiskerSystem, effect: usize) -> bool {
 
 /// Scatter of the pictures about a fit over what counts of their errors.
 fn reduced_chi(fit: &Fit, scale: f64) -> f64 {
-    (fit.witness.norm_squared() / (fit.witness_count.max(1) as f64)).sqrt() / scale
+    (fit.auxiliary_residual.norm_squared() / (fit.witness_count.max(1) as f64)).sqrt() / scale
 }
 
 /// Ratio of two positive numbers, the larger by the smaller.
@@ -297,8 +297,9 @@ impl SessionModel for WhiskerSystem {
         report.left_out.extend(pictures.left_out().iter().cloned());
         report.reduced_chi = pictures.own_share() * reduced_chi(fit, self.picture_scale());
         report.gain_wavelengths = (base.residual.norm_squared() - fit.residual.norm_squared()) / variance;
-        report.gain_pictures =
-            (base.witness.norm_squared() - fit.witness.norm_squared()) / self.picture_scale().powi(2);
+        report.gain_pictures = (base.auxiliary_residual.norm_squared()
+            - fit.auxiliary_residual.norm_squared())
+            / self.picture_scale().powi(2);
         let gains = [report.gain_wavelengths, report.gain_pictures].map(|g| g.max(0.0));
         let share = gains[1] / (gains[0] + gains[1]).max(1e-300);
         let decided = match share {

@@ -34,7 +34,7 @@ mod way;
 mod whisker_effect;
 
 pub use physical::PhysicalModel;
-pub use pictures::{Pictures, Seen};
+pub use pictures::{PairObservation, Pictures};
 pub use stream::PhysicalStream;
 pub use system::{Moments, WhiskerSystem};
 pub use verify::{Verified, WhiskerVerification, verify_whisker};

@@ -1,7 +1,7 @@
 //! Next measurement: the one that would decide between surviving explanations.
 
 use super::system::WhiskerSystem;
-use crate::effect::{EffectTerm, Need};
+use crate::effect::{EffectTerm, LawRequirement};
 use crate::measurement_model::MeasurementModel;
 use crate::method::ambiguity::power;
 use crate::method::fit::Fit;
@@ -159,7 +159,10 @@ pub fn next_measurement(
     let variance = best.fit.variance();
     // The present readings separate each pair by what their predictions differ.
     let present: Vec<DMatrix<f64>> = rivals.iter().map(|r| &r.fit.residual - &best.fit.residual).collect();
-    let seen: Vec<f64> = rivals.iter().map(|r| (&r.fit.witness - &best.fit.witness).norm_squared()).collect();
+    let seen: Vec<f64> = rivals
+        .iter()
+        .map(|r| (&r.fit.auxiliary_residual - &best.fit.auxiliary_residual).norm_squared())
+        .collect();
     let candidates = proposals(system);
     let evaluated: Vec<Evaluated> = candidates
         .iter()
@@ -207,7 +210,8 @@ pub fn next_measurement(
     let instruction = if expected_power < 0.5 {
         let slow = |t: &EffectTerm| {
             let effect = &system.catalogue()[t.effect];
-            let by_clock = |need: &Need| matches!(need, Need::Time | Need::Temperature);
+            let by_clock =
+                |need: &LawRequirement| matches!(need, LawRequirement::Time | LawRequirement::Temperature);
             effect.needs().iter().any(by_clock) && !effect.has_memory()
         };
         let needed = if rivals.iter().chain([&best]).any(|h| h.fit.terms.iter().any(slow)) {

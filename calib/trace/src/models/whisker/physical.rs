@@ -5,7 +5,7 @@
 
 use super::system::WhiskerSystem;
 use super::whisker_effect::ActiveEffect;
-use crate::effect::{EffectTerm, Need};
+use crate::effect::{EffectTerm, LawRequirement};
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
@@ -224,9 +224,11 @@ impl PhysicalModel {
     /// The first accepted effect that needs a column which `path` lacks to infer moments, and that column.
     #[must_use]
     pub fn missing_column(&self, path: &WhiskerPath) -> Option<(&str, &'static str)> {
-        let lacks = |need: &Need| match need {
-            Need::Temperature => (!path.columns.temperature).then_some("a temperature or fbg_ref_nm"),
-            Need::Time => (!path.columns.time).then_some("t_s"),
+        let lacks = |need: &LawRequirement| match need {
+            LawRequirement::Temperature => {
+                (!path.columns.temperature).then_some("a temperature or fbg_ref_nm")
+            }
+            LawRequirement::Time => (!path.columns.time).then_some("t_s"),
             _ => None,
         };
         let terms = self.terms();

@@ -1,6 +1,6 @@
 //! From a pair of shapes.json to what is observed, its own errors and the derivatives by what all pairs share (`pictures`).
 
-use super::pictures::{Derivatives, Moved, Pair, Seen};
+use super::pictures::{Derivatives, Pair, PairChange, PairObservation};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use std::sync::Arc;
 use wcal_core::observation::SessionShapes;
@@ -21,16 +21,16 @@ const TAG_TOLERANCE_MM: f64 = 0.01;
 const COMMON: usize = 3;
 
 /// The observed values of a change: groove, arc length, and the line across itself.
-pub(super) fn values(change: &Moved, normals: &[[Vector3<f64>; 2]]) -> DVector<f64> {
+pub(super) fn values(change: &PairChange, normals: &[[Vector3<f64>; 2]]) -> DVector<f64> {
     let head = change.groove_mm.iter().copied().chain([change.arclength_mm]);
     let line = change.stations_mm.iter().zip(normals).flat_map(|(by, n)| [by.dot(&n[0]), by.dot(&n[1])]);
     DVector::from_vec(head.chain(line).collect())
 }
 
 /// A column of shapes.json at the stations `kept`.
-fn moved(column: &ErrorColumn, kept: &[usize]) -> Moved {
+fn moved(column: &ErrorColumn, kept: &[usize]) -> PairChange {
     let station = |k: &usize| column.centreline_mm.get(*k).map_or_else(Vector3::zeros, |v| Vector3::from(*v));
-    Moved {
+    PairChange {
         groove_mm: Vector3::from(column.groove_mm),
         arclength_mm: column.contact_arclength_mm,
         stations_mm: kept.iter().map(station).collect(),
@@ -85,7 +85,7 @@ pub(super) fn observed(
     let derivatives = document.errors.as_ref().map_or_else(Derivatives::default, |e| setup(e, &kept, shapes));
     let groove_mm2 = own.view((0, 0), (3, 3)).trace();
     let whitening = own.cholesky()?.l().try_inverse()?;
-    let seen = Seen {
+    let seen = PairObservation {
         groove_mm: Vector3::from(groove.position_mm),
         arclength_mm: groove.contact_arclength_mm,
         tangent,

@@ -29,7 +29,7 @@ const KEPT_MASKS: usize = 32;
 
 /// What a pair shows, or would show, base frame, mm.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Seen {
+pub struct PairObservation {
     /// The wire's centre in the groove.
     pub groove_mm: Vector3<f64>,
     /// Arc length of the contact.
@@ -48,14 +48,14 @@ pub struct Seen {
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Derivatives {
     /// By the relative scale of the calibration board.
-    pub board_scale: Option<Moved>,
+    pub board_scale: Option<PairChange>,
     /// By the rig tag's position in its body, mm along x, y, z.
-    pub rig_tag: Option<[Moved; 3]>,
+    pub rig_tag: Option<[PairChange; 3]>,
 }
 
 /// A change of what a pair shows.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Moved {
+pub struct PairChange {
     /// Of the groove, mm.
     pub groove_mm: Vector3<f64>,
     /// Of the contact's arc length, mm.
@@ -64,9 +64,9 @@ pub struct Moved {
     pub stations_mm: Vec<Vector3<f64>>,
 }
 
-impl Seen {
+impl PairObservation {
     /// Adds `size` times a change.
-    pub fn add(&mut self, moved: &Moved, size: f64) {
+    pub fn add(&mut self, moved: &PairChange, size: f64) {
         self.groove_mm += moved.groove_mm * size;
         self.arclength_mm += moved.arclength_mm * size;
         for (station, by) in self.stations_mm.iter_mut().zip(&moved.stations_mm) {
@@ -82,7 +82,7 @@ pub(super) struct Pair {
     pub(super) reading: usize,
     /// Its node.
     pub(super) node: usize,
-    pub(super) seen: Seen,
+    pub(super) seen: PairObservation,
     /// Arc lengths of its stations, mm.
     pub(super) stations_mm: Vec<f64>,
     /// From (groove, arc length, stations) to the observed values: the line is seen across only.
@@ -213,13 +213,13 @@ impl Pictures {
     }
 
     /// Reading, arc lengths of the stations and what the pair shows.
-    pub fn each(&self) -> impl Iterator<Item = (usize, &[f64], &Seen)> {
+    pub fn each(&self) -> impl Iterator<Item = (usize, &[f64], &PairObservation)> {
         self.pairs.iter().map(|p| (p.reading, p.stations_mm.as_slice(), &p.seen))
     }
 
     /// Measured less predicted, white with unit variance; zero where the reading does not count.
     #[must_use]
-    pub fn whitened(&self, predicted: &[Seen], counts: impl Fn(usize) -> bool) -> DVector<f64> {
+    pub fn whitened(&self, predicted: &[PairObservation], counts: impl Fn(usize) -> bool) -> DVector<f64> {
         let mut u = DVector::zeros(self.readings.len());
         for (pair, g) in self.pairs.iter().zip(predicted) {
             if counts(pair.reading) {
@@ -268,10 +268,10 @@ impl Pictures {
 
 impl Pair {
     /// Measured less predicted in the observed values.
-    fn difference(&self, predicted: &Seen) -> DVector<f64> {
+    fn difference(&self, predicted: &PairObservation) -> DVector<f64> {
         let groove = self.seen.groove_mm - predicted.groove_mm;
         let stations = self.seen.stations_mm.iter().zip(&predicted.stations_mm).map(|(a, b)| a - b);
-        let change = Moved {
+        let change = PairChange {
             groove_mm: groove,
             arclength_mm: self.seen.arclength_mm - predicted.arclength_mm,
             stations_mm: stations.collect(),

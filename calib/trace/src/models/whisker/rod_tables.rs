@@ -351,7 +351,7 @@ impl RodTables {
 
 /// Where friction holds the contact.
 #[derive(Debug, Clone, Copy)]
-struct Held {
+struct FrictionContact {
     /// Arc length, mm.
     arclength_mm: f64,
     /// Tangential over normal force.
@@ -364,7 +364,7 @@ fn stick_slip(
     nodes: &[Node],
     xs_mm: &[f64],
     rod_parameters: &RodParameters,
-) -> Option<Vec<Option<Held>>> {
+) -> Option<Vec<Option<FrictionContact>>> {
     let mut contact: Option<(usize, f64, f64)> = None;
     let mut out = Vec::with_capacity(nodes.len());
     for (node, &x) in nodes.iter().zip(xs_mm) {
@@ -390,7 +390,7 @@ fn stick_slip(
             slip.advance(from + (x - from) * k as f64 / pieces as f64, friction, &mut s);
         }
         contact = Some((l, s, x));
-        out.push(Some(Held { arclength_mm: s, ratio: slip.ratio_at(x, s, friction) }));
+        out.push(Some(FrictionContact { arclength_mm: s, ratio: slip.ratio_at(x, s, friction) }));
     }
     Some(out)
 }

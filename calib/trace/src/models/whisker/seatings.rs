@@ -13,7 +13,7 @@ pub const SENSITIVITY_LEVEL: f64 = 0.01;
 
 /// Variation between seatings.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BetweenSeatings {
+pub struct SeatingVariation {
     /// Seatings.
     pub count: u32,
     /// Standard deviation of the zeros, pm, per channel.
@@ -28,7 +28,7 @@ pub struct BetweenSeatings {
 
 /// Compares the seatings under `fit`; none with one seating, or where a K a seating cannot be fitted.
 #[must_use]
-pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<BetweenSeatings> {
+pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVariation> {
     let count = system.seatings();
     let later = count as usize - 1;
     if later == 0 || fit.design.ncols() < 3 + later {
@@ -64,7 +64,7 @@ pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<BetweenSeati
     let size = coefficients.rows(1, 2).norm();
     let changes = coefficients.rows(q, own).norm_squared() / later as f64;
     let session = pooled(zero_sd_pm, later);
-    Some(BetweenSeatings {
+    Some(SeatingVariation {
         count,
         zero_sd_pm,
         session,
@@ -82,7 +82,7 @@ fn pooled(sd: [f64; 2], dof: usize) -> Estimated {
     Estimated { value, interval95: [0.975, 0.025].map(|p| value * (nu / at(p)).sqrt()) }
 }
 
-impl BetweenSeatings {
+impl SeatingVariation {
     /// One line for the notes.
     #[must_use]
     pub fn note(&self) -> String {

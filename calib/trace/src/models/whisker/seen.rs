@@ -1,6 +1,6 @@
 //! What the pairs of pictures would show under given effects, and how much they weigh against the readings.
 
-use super::pictures::{Pictures, Seen};
+use super::pictures::{PairObservation, Pictures};
 use super::system::WhiskerSystem;
 use super::whisker_effect::Observers;
 use crate::effect::EffectTerm;
@@ -10,7 +10,7 @@ use wcal_rod::interpolated_point;
 impl WhiskerSystem {
     /// What the pairs would show under `terms`, in their order; none where the model has no solution.
     #[must_use]
-    pub fn seen(&self, terms: &[EffectTerm]) -> Option<Vec<Seen>> {
+    pub fn seen(&self, terms: &[EffectTerm]) -> Option<Vec<PairObservation>> {
         let Some(pictures) = &self.pictures else { return Some(Vec::new()) };
         let active = self.active(terms);
         let (xs, rod_parameters) = self.driven(&active, Observers::Gratings);
@@ -22,7 +22,7 @@ impl WhiskerSystem {
             let l = self.path.nodes[*node].line?;
             let groove_mm = self.rod_tables.line(l, &rod_parameters).point(xs[*node]);
             seen.push(match e {
-                Some(e) => Seen {
+                Some(e) => PairObservation {
                     groove_mm,
                     arclength_mm: e.arclength_mm,
                     tangent: e.tangent,
@@ -33,7 +33,7 @@ impl WhiskerSystem {
                     ..shown.clone()
                 },
                 // Before first touch the wire is where it rests.
-                None => Seen {
+                None => PairObservation {
                     groove_mm,
                     arclength_mm: self.rod_tables.touch(&rod, l, &rod_parameters).arclength_mm,
                     stations_mm: stations_mm.iter().map(|s| rod.shape.rest_point(*s)).collect(),

@@ -36,8 +36,8 @@ pub(super) fn aligned(system: &WhiskerSystem, h: &Hypothesis, lagged: bool) -> f
 fn left_over(system: &WhiskerSystem, fit: &Fit, h: &Hypothesis) -> Option<(f64, f64)> {
     let moved = system.clone().with_stage_clock(system.stage_clock_s() + STEP_S);
     let change = (moved.design(&fit.terms)? - &fit.raw_design) * &fit.coefficients / STEP_S;
-    let mut tangent = stack_with(&h.weights.apply(&change), &fit.witness);
-    tangent.rows_mut(change.len(), fit.witness.len()).fill(0.0);
+    let mut tangent = stack_with(&h.weights.apply(&change), &fit.auxiliary_residual);
+    tangent.rows_mut(change.len(), fit.auxiliary_residual.len()).fill(0.0);
     let own = nuisance(fit).project_off(&tangent);
     let size = own.norm_squared();
     (size > 0.0).then(|| (own.dot(&fit.stacked()) / size, (fit.variance() / size).sqrt()))

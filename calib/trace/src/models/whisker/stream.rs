@@ -10,12 +10,12 @@ use wcal_core::MomentAxes;
 use wcal_core::stream::{MomentSpread, MomentStream, StreamMoments};
 
 /// The effects at one set of values, with what they remember.
-struct Remembering {
+struct EffectMemories {
     terms: Vec<ActiveEffect>,
     memories: Vec<Box<dyn Memory>>,
 }
 
-impl Remembering {
+impl EffectMemories {
     fn new(terms: Vec<ActiveEffect>) -> Self {
         let memories = terms.iter().filter_map(|a| a.effect.memory(&a.values())).collect();
         Self { terms, memories }
@@ -54,9 +54,9 @@ impl Remembering {
 /// A calibration with accepted effects that takes readings one by one. New readings belong to the last seating that it saw.
 pub struct PhysicalStream {
     model: PhysicalModel,
-    effects: Remembering,
+    effects: EffectMemories,
     /// Each uncertain value: its place in the covariance, the step, and the effects with the value one step lower and higher.
-    moved: Vec<(usize, f64, [Remembering; 2])>,
+    moved: Vec<(usize, f64, [EffectMemories; 2])>,
     inverse: Matrix2<f64>,
     last_s: Option<f64>,
     /// F with cov(theta) = F F', and the gradient at the last reading.
@@ -71,8 +71,8 @@ impl PhysicalStream {
     #[must_use]
     pub fn new(model: PhysicalModel) -> Option<Self> {
         let inverse = model.sensitivity().try_inverse()?;
-        let effects = Remembering::new(model.terms());
-        let at = |place, by| Remembering::new(model.terms_moved(Some((place, by))));
+        let effects = EffectMemories::new(model.terms());
+        let at = |place, by| EffectMemories::new(model.terms_moved(Some((place, by))));
         let moved = model.uncertain_values().into_iter().map(|(place, sd)| {
             let step = VALUE_STEP * sd;
             (place, step, [at(place, -step), at(place, step)])

@@ -3,7 +3,7 @@
 use super::pictures::Pictures;
 use super::stage_clock::CLOCK_SD_S;
 use super::whisker_effect::{ActiveEffect, Observers, WhiskerEffect};
-use crate::effect::{Effect, EffectTerm, Need};
+use crate::effect::{Effect, EffectTerm, LawRequirement};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, Weights};
 use crate::whisker::effects;
@@ -160,39 +160,45 @@ impl WhiskerSystem {
     }
 
     /// Why the session does not give what a law needs; none where it does.
-    fn unmet(&self, need: Need) -> Option<&'static str> {
+    fn unmet(&self, need: LawRequirement) -> Option<&'static str> {
         let has = &self.path.columns;
         let moving = |p: &Arc<Pictures>| p.each().any(|(i, ..)| self.path.readings[i].velocity_mm_s != 0.0);
         match need {
-            Need::Time | Need::Clock => (!has.time).then_some("the session has no time stamps"),
-            Need::Temperature => (!has.temperature).then_some("the session has no temperature"),
-            Need::Motion => (!has.speeds).then_some("no reading was taken while the stage moved"),
-            Need::MovingBase => Some("the base does not move on the stage, so the fluid does not drag on it"),
-            Need::Weight if !has.gravity => Some("the session does not give the direction of gravity"),
-            Need::Weight => {
+            LawRequirement::Time | LawRequirement::Clock => {
+                (!has.time).then_some("the session has no time stamps")
+            }
+            LawRequirement::Temperature => (!has.temperature).then_some("the session has no temperature"),
+            LawRequirement::Motion => (!has.speeds).then_some("no reading was taken while the stage moved"),
+            LawRequirement::MovingBase => {
+                Some("the base does not move on the stage, so the fluid does not drag on it")
+            }
+            LawRequirement::Weight if !has.gravity => {
+                Some("the session does not give the direction of gravity")
+            }
+            LawRequirement::Weight => {
                 let known = self.data.whisker.density_kg_m3.is_some();
                 (!known).then_some("the session does not give the density of the wire")
             }
-            Need::BothDirections => {
+            LawRequirement::BothDirections => {
                 (!has.both_directions).then_some("the session has no readings of both directions")
             }
-            Need::Pictures => self
+            LawRequirement::Pictures => self
                 .pictures
                 .is_none()
                 .then_some("the session has no pictures (shapes.json) that can be used"),
-            Need::StraightArc => {
+            LawRequirement::StraightArc => {
                 let given = matches!(self.data.whisker.rest_shape, RestShape::StraightArc { .. });
                 (!given).then_some("the session declares the wire's points, not a straight part and an arc")
             }
-            Need::MovingPictures => {
+            LawRequirement::MovingPictures => {
                 let none = !self.pictures.as_ref().is_some_and(moving);
                 none.then_some("no pair of pictures was taken while the stage moved")
             }
-            Need::RestReadings => {
+            LawRequirement::RestReadings => {
                 let none = self.path.readings.iter().all(|r| !r.rest);
                 none.then_some("no reading was taken at rest")
             }
-            Need::Order | Need::Slope | Need::Covariate => None,
+            LawRequirement::Order | LawRequirement::Slope | LawRequirement::Covariate => None,
         }
     }
 
@@ -361,7 +367,7 @@ impl MeasurementModel for WhiskerSystem {
         design.iter().all(|v| v.is_finite()).then_some(design)
     }
 
-    fn witness(&self, terms: &[EffectTerm], weights: &Weights) -> Option<DVector<f64>> {
+    fn auxiliary_residual(&self, terms: &[EffectTerm], weights: &Weights) -> Option<DVector<f64>> {
         let Some(pictures) = &self.pictures else { return Some(DVector::zeros(0)) };
         let seen = self.seen(terms)?;
         let w = pictures.whitened(&seen, |i| weights.counts(i)) * self.picture_scale;
@@ -432,7 +438,7 @@ impl MeasurementModel for WhiskerSystem {
     }
 
     fn shared_sd(&self, effect: usize, parameter: &str) -> f64 {
-        let stamped = self.effects[effect].needs().contains(&Need::Motion) && parameter == "lag_s";
+        let stamped = self.effects[effect].needs().contains(&LawRequirement::Motion) && parameter == "lag_s";
         if stamped && self.is_read_in_motion() { CLOCK_SD_S } else { 0.0 }
     }
 

@@ -9,7 +9,7 @@ use super::path::{Node, WhiskerPath};
 
 /// A part of the way at one speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Piece {
+pub struct MotionSegment {
     /// Position at its begin, mm.
     pub from_mm: f64,
     /// Position at its end, mm.
@@ -22,13 +22,13 @@ pub struct Piece {
 const FITS: f64 = 0.1;
 
 /// The way from node `k` to the next at positions `xs_mm`; none where the recorded positions and speeds do not say it.
-pub(super) fn way_between(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<Vec<Piece>> {
+pub(super) fn way_between(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<Vec<MotionSegment>> {
     let (a, b) = (&path.nodes[k], &path.nodes[k + 1]);
     if !path.columns.time || a.line.is_none() || a.line != b.line {
         return None;
     }
     let (dt_s, way_mm) = (b.t_s - a.t_s, b.x_mm - a.x_mm);
-    let straight = |dt_s: f64| vec![Piece { from_mm: xs_mm[k], to_mm: xs_mm[k + 1], dt_s }];
+    let straight = |dt_s: f64| vec![MotionSegment { from_mm: xs_mm[k], to_mm: xs_mm[k + 1], dt_s }];
     if dt_s <= 0.0 {
         return (way_mm == 0.0).then(|| straight(0.0));
     }
@@ -37,7 +37,7 @@ pub(super) fn way_between(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option
         // A settled reading without a dwell has stood for a while; an arrival ends its move.
         let (move_s, mm) =
             (if b.reading.is_some() && way_mm != 0.0 { 0.5 * dt_s } else { dt_s }, xs_mm[k + 1]);
-        let held = Piece { from_mm: mm, to_mm: mm, dt_s: dt_s - move_s };
+        let held = MotionSegment { from_mm: mm, to_mm: mm, dt_s: dt_s - move_s };
         return Some(straight(move_s).into_iter().chain([held]).collect());
     }
     let change = v1 - v0;
@@ -54,13 +54,13 @@ pub(super) fn way_between(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option
     let share = if way_mm == 0.0 { first_s / dt_s } else { (v0 * first_s / way_mm).clamp(0.0, 1.0) };
     let corner_mm = xs_mm[k] + (xs_mm[k + 1] - xs_mm[k]) * share;
     Some(vec![
-        Piece { from_mm: xs_mm[k], to_mm: corner_mm, dt_s: first_s },
-        Piece { from_mm: corner_mm, to_mm: xs_mm[k + 1], dt_s: dt_s - first_s },
+        MotionSegment { from_mm: xs_mm[k], to_mm: corner_mm, dt_s: first_s },
+        MotionSegment { from_mm: corner_mm, to_mm: xs_mm[k + 1], dt_s: dt_s - first_s },
     ])
 }
 
 /// From a settled pose to a stroke that begins on its other side: the stage went there at the stroke's speed and stood until it began.
-fn turned_back(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<Vec<Piece>> {
+fn turned_back(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<Vec<MotionSegment>> {
     let (a, b) = (&path.nodes[k], &path.nodes[k + 1]);
     if a.moving || !b.moving {
         return None;
@@ -70,8 +70,8 @@ fn turned_back(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<Vec<Piece>
     let next = path.nodes.get(k + 2).filter(|n| n.line == b.line && own(n) * own(b) > 0.0).map_or(0.0, own);
     let (from_mm, to_mm, dt_s) = (xs_mm[k], xs_mm[k + 1], b.t_s - a.t_s);
     let move_s = (b.x_mm - a.x_mm).abs() / own(b).abs().max(next.abs());
-    let stood = Piece { from_mm: to_mm, to_mm, dt_s: dt_s - move_s };
-    (stood.dt_s >= 0.0).then(|| vec![Piece { from_mm, to_mm, dt_s: move_s }, stood])
+    let stood = MotionSegment { from_mm: to_mm, to_mm, dt_s: dt_s - move_s };
+    (stood.dt_s >= 0.0).then(|| vec![MotionSegment { from_mm, to_mm, dt_s: move_s }, stood])
 }
 
 /// Signed speed at node `k`, mm/s: that of the way to a neighbour in the same motion, whose positions are read better than speeds are.

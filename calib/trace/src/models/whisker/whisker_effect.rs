@@ -1,9 +1,9 @@
 //! Where an effect of the whisker acts: on the pose, the rod, the sensor, the pictures, or as columns of the readout.
 
 use super::path::WhiskerPath;
-use super::pictures::Seen;
+use super::pictures::PairObservation;
 use super::rod_parameters::RodParameters;
-use crate::effect::{Effect, EffectModel, EffectTerm, Need, Values};
+use crate::effect::{Effect, EffectModel, EffectTerm, LawRequirement, Values};
 use std::sync::Arc;
 
 /// A sensor whose answer depends on what came before.
@@ -52,7 +52,7 @@ pub trait WhiskerEffect: Effect {
         }
     }
     /// Changes what pairs of pictures show: faults of the cameras' setup.
-    fn pictures(&self, _values: &Values, _seen: &mut [Seen]) {}
+    fn pictures(&self, _values: &Values, _seen: &mut [PairObservation]) {}
     /// Appends readout columns (one value a reading) whose coefficients are free in each channel.
     fn columns(
         &self,
@@ -81,7 +81,7 @@ impl ActiveEffect {
 
     /// What its law needs of a session.
     #[must_use]
-    pub fn needs(&self) -> &[Need] {
+    pub fn needs(&self) -> &[LawRequirement] {
         &self.law.needs
     }
 

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 use wcal_vision::rig::RigGroove;
-use wcal_vision::shape::groove::Place;
+use wcal_vision::shape::groove::GroovePosition;
 
 fn contact(away: Vector3<f64>, push: Option<Vector3<f64>>, turn: Vector3<f64>) -> &'static str {
     let covariance = Matrix3::from_diagonal(&Vector3::new(1.0, 1e-4, 1e-4));
@@ -12,7 +12,7 @@ fn contact(away: Vector3<f64>, push: Option<Vector3<f64>>, turn: Vector3<f64>) -
         half_angle_deg: 45.0,
         width_along_wire_mm: 3.0,
     };
-    Place { away, covariance, push, turn }.contact(&groove, 0.3)
+    GroovePosition { away, covariance, push, turn }.contact(&groove, 0.3)
 }
 
 #[test]

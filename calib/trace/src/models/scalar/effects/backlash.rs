@@ -2,7 +2,7 @@
 
 use super::memory::play;
 use super::{amplitude, law};
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::scalar::ScalarEffect;
 use crate::scalar::frame::{Declared, Frame};
 
@@ -18,12 +18,12 @@ impl Effect for Backlash {
     }
     fn laws(&self) -> Vec<EffectModel> {
         let play = law("play", vec![amplitude("backlash", "half-range", [0.0, 0.5], 0.01)], &[])
-            .needing(&[Need::Slope, Need::BothDirections]);
+            .needing(&[LawRequirement::Slope, LawRequirement::BothDirections]);
         if self.declared == Declared::Axis {
             vec![
                 play,
                 law("reversal", Vec::new(), &[("reversal_value", "response")])
-                    .needing(&[Need::BothDirections]),
+                    .needing(&[LawRequirement::BothDirections]),
             ]
         } else {
             vec![play]

@@ -2,7 +2,7 @@
 
 use super::memory::relaxed;
 use super::{amplitude, law, shape};
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
 
@@ -23,13 +23,13 @@ impl Effect for Creep {
                 ],
                 &[],
             )
-            .needing(&[Need::Time]),
+            .needing(&[LawRequirement::Time]),
             law(
                 "settling",
                 vec![shape("time_constant", "duration", [0.01, 0.6], &[0.02, 0.05, 0.1, 0.2, 0.4])],
                 &[("size_at_start", "response")],
             )
-            .needing(&[Need::Time]),
+            .needing(&[LawRequirement::Time]),
         ]
     }
     fn has_memory(&self) -> bool {

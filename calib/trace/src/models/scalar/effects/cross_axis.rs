@@ -1,7 +1,7 @@
 //! A further covariate acts on the response.
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
 
@@ -19,7 +19,8 @@ impl Effect for CrossAxis {
         // One law a covariate; the names stand in the session.
         (0..self.count.max(1))
             .map(|_| {
-                law("covariate", Vec::new(), &[("slope", "response/covariate")]).needing(&[Need::Covariate])
+                law("covariate", Vec::new(), &[("slope", "response/covariate")])
+                    .needing(&[LawRequirement::Covariate])
             })
             .collect()
     }

@@ -1,7 +1,7 @@
 //! Dead zone: near zero the response follows the stimulus less or not at all.
 
 use super::{amplitude, law, shape};
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
 
@@ -22,7 +22,7 @@ impl Effect for DeadZone {
                 ],
                 &[],
             )
-            .needing(&[Need::Slope]),
+            .needing(&[LawRequirement::Slope]),
         ]
     }
     fn sentence(&self) -> &'static str {

@@ -1,7 +1,7 @@
 //! Drift of the zero, in proportion to time, or to the order where there is no time.
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
 
@@ -13,7 +13,7 @@ impl Effect for Drift {
         "drift"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("linear", Vec::new(), &[("rate", "response/duration")]).needing(&[Need::Clock])]
+        vec![law("linear", Vec::new(), &[("rate", "response/duration")]).needing(&[LawRequirement::Clock])]
     }
     fn sentence(&self) -> &'static str {
         "The zero drifts during the session."

@@ -6,7 +6,7 @@
 //! ```
 
 use super::{ERROR_TABLE, law};
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
 
@@ -46,7 +46,7 @@ impl Effect for ErrorTable {
             deviations.iter().copied().chain(vec![("reversal_value", "response"); places]).collect();
         vec![
             law("by-place", Vec::new(), &deviations),
-            law("by-place-and-direction", Vec::new(), &both).needing(&[Need::BothDirections]),
+            law("by-place-and-direction", Vec::new(), &both).needing(&[LawRequirement::BothDirections]),
         ]
     }
     fn sentence(&self) -> &'static str {

@@ -2,7 +2,7 @@
 
 use super::memory::bouc_wen;
 use super::{amplitude, law, shape};
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::scalar::ScalarEffect;
 use crate::scalar::frame::{Declared, Frame};
 
@@ -25,12 +25,12 @@ impl Effect for Hysteresis {
             ],
             &[],
         )
-        .needing(&[Need::BothDirections]);
+        .needing(&[LawRequirement::BothDirections]);
         if self.declared == Declared::Axis {
             return vec![gradual];
         }
         let plain = law("by-direction", Vec::new(), &[("half_loop", "response")]);
-        vec![plain.needing(&[Need::BothDirections]), gradual]
+        vec![plain.needing(&[LawRequirement::BothDirections]), gradual]
     }
     fn has_memory(&self) -> bool {
         true

@@ -2,7 +2,7 @@
 
 use super::memory::{delayed, relaxed};
 use super::{amplitude, law};
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
 
@@ -16,9 +16,9 @@ impl Effect for Lag {
     fn laws(&self) -> Vec<EffectModel> {
         vec![
             law("delay", vec![amplitude("delay", "duration", [0.0, 0.1], 2e-3)], &[])
-                .needing(&[Need::Slope, Need::Time]),
+                .needing(&[LawRequirement::Slope, LawRequirement::Time]),
             law("first-order", vec![amplitude("time_constant", "duration", [0.0, 0.1], 2e-3)], &[])
-                .needing(&[Need::Slope, Need::Time]),
+                .needing(&[LawRequirement::Slope, LawRequirement::Time]),
         ]
     }
     fn has_memory(&self) -> bool {

@@ -5,7 +5,7 @@
 //! ```
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
 
@@ -27,7 +27,7 @@ impl Effect for NonlinearityCubic {
         let coefficient = [("coefficient", "response/half-range^3")];
         vec![
             law("power-3", Vec::new(), &coefficient),
-            law(ABOUT_ZERO, Vec::new(), &coefficient).needing(&[Need::Slope]),
+            law(ABOUT_ZERO, Vec::new(), &coefficient).needing(&[LawRequirement::Slope]),
         ]
     }
     fn sentence(&self) -> &'static str {

@@ -1,7 +1,7 @@
 //! Periodic effect: sine and cosine over stimulus, time or order, with a free frequency.
 
 use super::{PERIODIC, law, shape};
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::scalar::ScalarEffect;
 use crate::scalar::frame::{Frame, correlation};
 
@@ -34,8 +34,8 @@ impl Effect for Periodic {
         let cycles = |unit| vec![shape("period", unit, [MIN_CYCLES, 120.0], &GRID)];
         vec![
             law("over-stimulus", cycles("period:stimulus"), &columns),
-            law("over-time", cycles("period:time"), &columns).needing(&[Need::Time]),
-            law("over-order", cycles("period:order"), &columns).needing(&[Need::Order]),
+            law("over-time", cycles("period:time"), &columns).needing(&[LawRequirement::Time]),
+            law("over-order", cycles("period:order"), &columns).needing(&[LawRequirement::Order]),
         ]
     }
     fn acts_severally(&self) -> bool {

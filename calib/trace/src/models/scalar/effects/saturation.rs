@@ -1,7 +1,7 @@
 //! Saturation: beyond a knee, away from zero, the response follows the stimulus less or not at all.
 
 use super::{amplitude, law, shape};
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
 
@@ -20,9 +20,9 @@ impl Effect for Saturation {
         let share = amplitude("slope_lost", "1", [0.0, 1.0], 0.2);
         vec![
             law("upper-knee", vec![share, shape("knee", "stimulus", [-0.9, 0.98], UPPER)], &[])
-                .needing(&[Need::Slope]),
+                .needing(&[LawRequirement::Slope]),
             law("lower-knee", vec![share, shape("knee", "stimulus", [-0.98, 0.9], LOWER)], &[])
-                .needing(&[Need::Slope]),
+                .needing(&[LawRequirement::Slope]),
         ]
     }
     fn sentence(&self) -> &'static str {

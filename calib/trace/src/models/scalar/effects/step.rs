@@ -1,7 +1,7 @@
 //! Step: from some reading on, every response is shifted.
 
 use super::{law, shape};
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
 
@@ -29,7 +29,7 @@ impl Effect for Step {
     fn laws(&self) -> Vec<EffectModel> {
         vec![
             law("once", vec![shape("place", "clock", [0.0, 1.0], &GRID)], &[("height", "response")])
-                .needing(&[Need::Clock]),
+                .needing(&[LawRequirement::Clock]),
         ]
     }
     fn acts_severally(&self) -> bool {

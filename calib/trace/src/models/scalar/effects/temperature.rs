@@ -1,7 +1,7 @@
 //! Temperature moves the zero or the sensitivity.
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::scalar::ScalarEffect;
 use crate::scalar::frame::Frame;
 
@@ -14,9 +14,10 @@ impl Effect for Temperature {
     }
     fn laws(&self) -> Vec<EffectModel> {
         vec![
-            law("zero", Vec::new(), &[("zero_shift", "response/degc")]).needing(&[Need::Temperature]),
+            law("zero", Vec::new(), &[("zero_shift", "response/degc")])
+                .needing(&[LawRequirement::Temperature]),
             law("sensitivity", Vec::new(), &[("slope_shift", "response/half-range/degc")])
-                .needing(&[Need::Temperature]),
+                .needing(&[LawRequirement::Temperature]),
         ]
     }
     fn acts_severally(&self) -> bool {

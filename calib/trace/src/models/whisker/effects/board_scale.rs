@@ -1,8 +1,8 @@
 //! The calibration board is not as large as stated: every length that the cameras measure is off by one factor.
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
-use crate::whisker::{Seen, WhiskerEffect};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
+use crate::whisker::{PairObservation, WhiskerEffect};
 
 /// See the module.
 pub struct BoardScale;
@@ -12,7 +12,7 @@ impl Effect for BoardScale {
         "board-scale"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("one-factor").needing(&[Need::Pictures]).amplitude(
+        vec![law("one-factor").needing(&[LawRequirement::Pictures]).amplitude(
             "relative_scale",
             "1",
             [-0.1, 0.1],
@@ -28,7 +28,7 @@ impl Effect for BoardScale {
 }
 
 impl WhiskerEffect for BoardScale {
-    fn pictures(&self, values: &Values, seen: &mut [Seen]) {
+    fn pictures(&self, values: &Values, seen: &mut [PairObservation]) {
         let scale = values.of("relative_scale");
         for s in seen {
             match s.derivatives.clone().board_scale.as_ref() {

@@ -5,8 +5,8 @@
 //! ```
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
-use crate::whisker::{Seen, WhiskerEffect};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
+use crate::whisker::{PairObservation, WhiskerEffect};
 use nalgebra::Vector3;
 
 /// See the module.
@@ -16,7 +16,7 @@ pub struct CameraPose;
 fn rigid(name: &'static str) -> EffectModel {
     let (shift, turn) = ([-5.0, 5.0], [-0.1, 0.1]);
     law(name)
-        .needing(&[Need::Pictures])
+        .needing(&[LawRequirement::Pictures])
         .amplitude("shift_x_mm", "mm", shift, 0.1)
         .amplitude("shift_y_mm", "mm", shift, 0.1)
         .amplitude("shift_z_mm", "mm", shift, 0.1)
@@ -44,7 +44,7 @@ impl Effect for CameraPose {
 }
 
 impl WhiskerEffect for CameraPose {
-    fn pictures(&self, values: &Values, seen: &mut [Seen]) {
+    fn pictures(&self, values: &Values, seen: &mut [PairObservation]) {
         let vector = |names: [&str; 3]| Vector3::from(names.map(|name| values.of(name)));
         let shift = vector(["shift_x_mm", "shift_y_mm", "shift_z_mm"]);
         let turn = vector(["turn_x_rad", "turn_y_rad", "turn_z_rad"]);

@@ -1,7 +1,7 @@
 //! Creep of the bond: m + a relaxed(m), integrated over the whole run, unloaded moves included.
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::whisker::{Memory, WhiskerEffect};
 
 /// See the module.
@@ -13,13 +13,16 @@ impl Effect for Creep {
     }
     fn laws(&self) -> Vec<EffectModel> {
         vec![
-            law("prony").needing(&[Need::Time]).amplitude("creep_fraction", "1", [0.0, 0.3], 0.02).shape(
-                "time_constant_s",
-                "s",
-                [0.3, 3000.0],
-                &[1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0],
+            law("prony")
+                .needing(&[LawRequirement::Time])
+                .amplitude("creep_fraction", "1", [0.0, 0.3], 0.02)
+                .shape("time_constant_s", "s", [0.3, 3000.0], &[1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0]),
+            law("log-time").needing(&[LawRequirement::Time]).amplitude(
+                "creep_fraction",
+                "1",
+                [0.0, 0.3],
+                0.02,
             ),
-            law("log-time").needing(&[Need::Time]).amplitude("creep_fraction", "1", [0.0, 0.3], 0.02),
         ]
     }
     fn refinements(&self) -> Vec<EffectModel> {
@@ -27,7 +30,7 @@ impl Effect for Creep {
         let seconds = [0.3, 3000.0];
         vec![
             law("prony-2")
-                .needing(&[Need::Time])
+                .needing(&[LawRequirement::Time])
                 .amplitude("creep_fraction", "1", [0.0, 0.3], 0.02)
                 .shape("time_constant_s", "s", seconds, GRID)
                 .amplitude("second_creep_fraction", "1", [0.0, 0.3], 0.02)

@@ -27,17 +27,20 @@ impl Effect for DeadZone {
 
 impl WhiskerEffect for DeadZone {
     fn memory(&self, values: &Values) -> Option<Box<dyn Memory>> {
-        Some(Box::new(Play { radial: values.law() == "radial", threshold_nmm: values.of("threshold_nmm") }))
+        Some(Box::new(DeadZoneState {
+            radial: values.law() == "radial",
+            threshold_nmm: values.of("threshold_nmm"),
+        }))
     }
 }
 
 /// A sensor that feels what is past a threshold; it remembers nothing.
-struct Play {
+struct DeadZoneState {
     radial: bool,
     threshold_nmm: f64,
 }
 
-impl Memory for Play {
+impl Memory for DeadZoneState {
     fn sensed(&self, _dt_s: Option<f64>, m: [f64; 2]) -> [f64; 2] {
         if self.radial {
             let size = m[0].hypot(m[1]);

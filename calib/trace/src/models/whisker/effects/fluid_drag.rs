@@ -1,7 +1,7 @@
 //! Drag of the fluid on a moving base.
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need};
+use crate::effect::{Effect, EffectModel, LawRequirement};
 use crate::whisker::WhiskerEffect;
 
 /// See the module.
@@ -12,7 +12,7 @@ impl Effect for FluidDrag {
         "fluid-drag"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("quadratic").needing(&[Need::MovingBase])]
+        vec![law("quadratic").needing(&[LawRequirement::MovingBase])]
     }
     fn sentence(&self) -> &'static str {
         "The surrounding water drags on the wire while the base moves."

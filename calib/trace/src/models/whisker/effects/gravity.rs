@@ -1,7 +1,7 @@
 //! Weight less buoyancy of the wire.
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::rod_parameters::RodParameters;
 
@@ -13,7 +13,7 @@ impl Effect for Gravity {
         "gravity"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("weight").needing(&[Need::Weight]).amplitude("weight_share", "1", [0.0, 1.5], 1.0)]
+        vec![law("weight").needing(&[LawRequirement::Weight]).amplitude("weight_share", "1", [0.0, 1.5], 1.0)]
     }
     fn sentence(&self) -> &'static str {
         "The weight of the wire bends it."

@@ -1,7 +1,7 @@
 //! The pictures' clock is off: a pair taken while the stage moves shows the groove at another time than its row says.
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::whisker::Observers;
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
@@ -14,7 +14,7 @@ impl Effect for PictureClock {
         "picture-clock"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("offset").needing(&[Need::Pictures, Need::MovingPictures]).amplitude(
+        vec![law("offset").needing(&[LawRequirement::Pictures, LawRequirement::MovingPictures]).amplitude(
             "clock_s",
             "s",
             [-1.0, 1.0],

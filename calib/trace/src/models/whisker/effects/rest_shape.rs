@@ -1,7 +1,7 @@
 //! The wire at rest is not as declared: its straight part is longer or shorter, its arc flatter or narrower.
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::rod_parameters::RodParameters;
 
@@ -15,7 +15,7 @@ impl Effect for RestShape {
     fn laws(&self) -> Vec<EffectModel> {
         vec![
             law("straight-and-arc")
-                .needing(&[Need::Pictures, Need::StraightArc])
+                .needing(&[LawRequirement::Pictures, LawRequirement::StraightArc])
                 .amplitude("straight_change_mm", "mm", [-6.0, 6.0], 0.5)
                 .amplitude("arc_radius_change_mm", "mm", [-6.0, 6.0], 0.5),
         ]

@@ -4,7 +4,7 @@
 //! readings have.
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
 
@@ -16,7 +16,7 @@ impl Effect for RestZero {
         "rest-zero"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("step").needing(&[Need::RestReadings]).column("rest_zero_pm", "pm")]
+        vec![law("step").needing(&[LawRequirement::RestReadings]).column("rest_zero_pm", "pm")]
     }
     fn sentence(&self) -> &'static str {
         "The readings at rest have another zero than the loaded ones: they were taken at another time or before the wire was seated."

@@ -1,8 +1,8 @@
 //! The rig tag is glued askew: the groove is not where the tag says.
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
-use crate::whisker::{Seen, WhiskerEffect};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
+use crate::whisker::{PairObservation, WhiskerEffect};
 use nalgebra::Vector3;
 
 /// See the module.
@@ -15,7 +15,7 @@ impl Effect for RigTag {
     fn laws(&self) -> Vec<EffectModel> {
         vec![
             law("rigid")
-                .needing(&[Need::Pictures])
+                .needing(&[LawRequirement::Pictures])
                 .amplitude("offset_x_mm", "mm", [-5.0, 5.0], 0.2)
                 .amplitude("offset_y_mm", "mm", [-5.0, 5.0], 0.2)
                 .amplitude("offset_z_mm", "mm", [-5.0, 5.0], 0.2),
@@ -30,7 +30,7 @@ impl Effect for RigTag {
 }
 
 impl WhiskerEffect for RigTag {
-    fn pictures(&self, values: &Values, seen: &mut [Seen]) {
+    fn pictures(&self, values: &Values, seen: &mut [PairObservation]) {
         let offset = ["offset_x_mm", "offset_y_mm", "offset_z_mm"].map(|name| values.of(name));
         for s in seen {
             match s.derivatives.clone().rig_tag.as_ref() {

@@ -1,7 +1,7 @@
 //! Rest of the temperature compensation: dk (T - T0) in each channel.
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
 
@@ -13,7 +13,7 @@ impl Effect for TemperatureMismatch {
         "temperature-mismatch"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("linear").needing(&[Need::Temperature]).column("mismatch_pm_per_degc", "pm/degC")]
+        vec![law("linear").needing(&[LawRequirement::Temperature]).column("mismatch_pm_per_degc", "pm/degC")]
     }
     fn sentence(&self) -> &'static str {
         "The sensing and the reference grating do not follow temperature alike, so compensation leaves a rest."

@@ -7,11 +7,11 @@
 
 use super::creep::relax;
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::whisker::Observers;
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
-use crate::whisker::way::{Piece, way_between};
+use crate::whisker::way::{MotionSegment, way_between};
 
 /// See the module.
 pub struct TimeLag;
@@ -21,7 +21,8 @@ impl Effect for TimeLag {
         "time-lag"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        let lag = |name| law(name).needing(&[Need::Motion]).amplitude("lag_s", "s", [0.0, 1.0], 0.02);
+        let lag =
+            |name| law(name).needing(&[LawRequirement::Motion]).amplitude("lag_s", "s", [0.0, 1.0], 0.02);
         vec![lag("delay"), lag("first-order")]
     }
     fn sentence(&self) -> &'static str {
@@ -61,7 +62,7 @@ fn delayed(path: &WhiskerPath, xs_mm: &[f64], lag_s: f64, k: usize) -> f64 {
     let mut at = k;
     while at > 0 {
         let Some(pieces) = way_between(path, xs_mm, at - 1) else { break };
-        for Piece { from_mm, to_mm, dt_s } in pieces.into_iter().rev() {
+        for MotionSegment { from_mm, to_mm, dt_s } in pieces.into_iter().rev() {
             if left_s <= dt_s {
                 return if dt_s > 0.0 { to_mm + (from_mm - to_mm) * left_s / dt_s } else { to_mm };
             }

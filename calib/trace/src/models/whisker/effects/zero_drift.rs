@@ -1,7 +1,7 @@
 //! Drift of the zero, linear in time.
 
 use super::law;
-use crate::effect::{Effect, EffectModel, Need, Values};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values};
 use crate::whisker::WhiskerEffect;
 use crate::whisker::path::WhiskerPath;
 
@@ -13,7 +13,7 @@ impl Effect for ZeroDrift {
         "zero-drift"
     }
     fn laws(&self) -> Vec<EffectModel> {
-        vec![law("linear").needing(&[Need::Time]).column("drift_pm_per_min", "pm/min")]
+        vec![law("linear").needing(&[LawRequirement::Time]).column("drift_pm_per_min", "pm/min")]
     }
     fn sentence(&self) -> &'static str {
         "The zero of the readings drifts with time."

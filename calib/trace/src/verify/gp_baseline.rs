@@ -6,7 +6,7 @@
 use super::session_model::{HeldOut, SessionModel};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
-use wcal_map::{Conditioned, Kernel};
+use wcal_map::{ConditionedProcess, Kernel};
 
 /// Lengths, in root of the number of covariates (standardised).
 const LENGTHS: [f64; 4] = [0.5, 1.0, 2.0, 4.0];
@@ -31,7 +31,7 @@ fn covariates(system: &dyn MeasurementModel) -> DMatrix<f64> {
 struct Fitted {
     kernel: Kernel,
     signal: f64,
-    process: Conditioned,
+    process: ConditionedProcess,
 }
 
 /// Best length and signal for `y` at the rows `x`, by the evidence with the noise profiled out.
@@ -45,7 +45,7 @@ fn fitted(x: &DMatrix<f64>, y: &DVector<f64>) -> Option<Fitted> {
         let correlation = distance.map(|d| kernel.at(d));
         for signal in SIGNALS {
             let covariance = &correlation * signal + DMatrix::identity(n, n);
-            let Ok(process) = Conditioned::new(covariance, y.clone()) else { continue };
+            let Ok(process) = ConditionedProcess::new(covariance, y.clone()) else { continue };
             let evidence = -0.5 * (n as f64 * (process.misfit() / n as f64).ln() + process.log_determinant());
             if best.as_ref().is_none_or(|b| evidence > b.0) {
                 best = Some((evidence, Fitted { kernel, signal, process }));
@@ -60,7 +60,7 @@ const MAX_FITTED: usize = 400;
 
 /// Errors of the rival on the unsealed readings; `before` holds every reading of `whole` under the declared model. Sealed readings have no part
 /// in it.
-pub fn rival<M: SessionModel>(whole: &M, before: &M::Predictions, left_out: &[usize]) -> Vec<HeldOut> {
+pub fn gp_baseline<M: SessionModel>(whole: &M, before: &M::Predictions, left_out: &[usize]) -> Vec<HeldOut> {
     let sealed = whole.sealed();
     let (all, n) = (covariates(whole), sealed.len());
     let residual: Vec<Vec<f64>> = (0..n).map(|i| whole.errors(before, i).errors[0].clone()).collect();

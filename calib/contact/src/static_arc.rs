@@ -1,9 +1,9 @@
 //! Readings of whose motion nothing is known: an arc of the wire for every loaded one ([`crate::arc`]), each reading by itself.
 
 use crate::ContactError;
-use crate::arc::{arclength_regions, moments_alone};
+use crate::arc::{arclength_regions, static_arc};
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
-use crate::known_motion::Lost;
+use crate::known_motion::MotionUnknown;
 use crate::reading::{Moments, Reading};
 use crate::track_document::{EstimatorDocument, Method, POINT_OF_OBJECT};
 use std::collections::BTreeMap;
@@ -17,7 +17,7 @@ const LOADED_SDS: f64 = 4.0;
 
 /// The estimator of moments alone.
 #[derive(Debug)]
-pub struct MomentsAlone {
+pub struct StaticArc {
     whisker: WhiskerSpec,
     /// Made at the first loaded reading.
     inverse: Option<StaticInverse>,
@@ -32,7 +32,7 @@ pub(crate) fn loaded(m: &Moments) -> bool {
     m.moment_nmm[0].hypot(m.moment_nmm[1]) > LOADED_SDS * sd_nmm
 }
 
-impl MomentsAlone {
+impl StaticArc {
     /// Of a wire.
     #[must_use]
     pub fn new(whisker: &WhiskerSpec) -> Self {
@@ -43,7 +43,7 @@ impl MomentsAlone {
     ///
     /// # Errors
     /// Where the wire cannot be bent.
-    pub fn locate(&mut self, m: &Moments, why: Lost) -> Result<Contact, ContactError> {
+    pub fn estimate_contact(&mut self, m: &Moments, why: MotionUnknown) -> Result<Contact, ContactError> {
         self.readings += 1;
         // A reading's own noise may be larger than that from pose to pose, which is one of averages.
         let own = m.own_nmm2.map_or(0.0, |n| n.trace());
@@ -56,7 +56,7 @@ impl MomentsAlone {
             self.inverse = Some(StaticInverse::new(&self.whisker, InverseGrid::coarse())?);
         }
         let Some(inverse) = &self.inverse else { return Ok(Contact::default()) };
-        let answer = moments_alone(inverse, m.moment_nmm, m.sd_nmm, &Prediction::unknown());
+        let answer = static_arc(inverse, m.moment_nmm, m.sd_nmm, &Prediction::unknown());
         let regions = arclength_regions(&inverse.nodes, &answer.weights);
         let estimate = Some(ContactEstimate::from(&answer));
         Ok(Contact { estimate, flags: Flags::MOTION_LOST, regions, ..Contact::default() })
@@ -69,17 +69,17 @@ impl MomentsAlone {
     }
 }
 
-impl Estimator for MomentsAlone {
+impl Estimator for StaticArc {
     fn push(&mut self, reading: &Reading) -> Result<Vec<Contact>, ContactError> {
-        let why = reading.motion.as_ref().err().copied().unwrap_or(Lost::Unknown);
-        let contact = reading.moments.as_ref().map(|m| self.locate(m, why)).transpose()?;
+        let why = reading.motion.as_ref().err().copied().unwrap_or(MotionUnknown::Unknown);
+        let contact = reading.moments.as_ref().map(|m| self.estimate_contact(m, why)).transpose()?;
         Ok(vec![contact.unwrap_or_default()])
     }
 
     fn findings(&self) -> Findings {
         let loaded: u64 = self.lost.values().sum();
         let document = EstimatorDocument {
-            method: Some(Method::MomentsAlone),
+            method: Some(Method::StaticArc),
             place: Some(POINT_OF_OBJECT),
             ..EstimatorDocument::default()
         };

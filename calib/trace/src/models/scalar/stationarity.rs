@@ -9,7 +9,7 @@ use crate::method::hypothesis::Hypothesis;
 
 /// Cycles over the whole range, fitted to each half of the readings.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Steadiness {
+pub struct Stationarity {
     /// Cycles over the whole range by the first and the second half.
     pub cycles: [f64; 2],
     /// Standard errors.
@@ -27,7 +27,7 @@ const MIN_HALF: usize = 15;
 
 /// Refits the accepted explanation on each half, in the order of its variable. None without a periodic effect.
 #[must_use]
-pub fn steadiness(system: &ScalarSystem, h: &Hypothesis) -> Option<Steadiness> {
+pub fn stationarity(system: &ScalarSystem, h: &Hypothesis) -> Option<Stationarity> {
     let place = h.fit.terms.iter().position(|t| system.catalogue()[t.effect].id() == PERIODIC)?;
     let term = &h.fit.terms[place];
     let slot: usize = h.fit.terms[..place].iter().map(|t| t.values.len()).sum();
@@ -55,7 +55,7 @@ pub fn steadiness(system: &ScalarSystem, h: &Hypothesis) -> Option<Steadiness> {
         Some((fitted.terms[place].values[0], error, amplitude))
     };
     let ((a, sa, ma), (b, sb, mb)) = (half(false)?, half(true)?);
-    Some(Steadiness {
+    Some(Stationarity {
         cycles: [a, b],
         standard_errors: [sa, sb],
         amplitudes: [ma, mb],

@@ -24,7 +24,7 @@ pub struct DemoArgs {
     /// Folder for every result
     #[arg(long, value_name = "DIR", default_value = "demo-out")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Seed of every random draw
@@ -95,7 +95,6 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         kind.check(&args.out.join(name), args.overwrite.force)?;
     }
     let progress = crate::progress::Progress::new("demo");
-    progress.hear_search();
     write_session(&args.out, &SWEEP)?;
     for r in RECORDINGS {
         eprintln!("{} ...", r.name);
@@ -106,7 +105,12 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         let _ = std::fs::remove_file(out.join("unsealed.json"));
         let session = load(&folder)?;
         let sweep = r.sweep.map(|name| args.out.join(name).join("session"));
-        let order = VerifyOrder { seed: args.seed, sweep: sweep.as_deref(), ..VerifyOrder::default() };
+        let order = VerifyOrder {
+            seed: args.seed,
+            progress: verify::listener(&progress),
+            sweep: sweep.as_deref(),
+            ..VerifyOrder::default()
+        };
         let report = verify_session(&session, &mut results, &order)?;
         results.finish()?;
         print_text(&report, &out);

@@ -17,7 +17,7 @@ Exit code 0: fit for use; 3: usable, with warnings that matter; 1: cannot be use
 pub struct DoctorArgs {
     /// Session folder
     pub session: PathBuf,
-    /// Sealed readings kept apart from the session: another session, or a table
+    /// Independent test data, not used in the fit: another session, or a table
     #[arg(long, value_name = "SESSION-or-CSV")]
     pub holdout: Option<PathBuf>,
     /// Print the findings as JSON on stdout

@@ -49,7 +49,7 @@ pub struct EvaluateArgs {
     /// Folder for evaluation.json and report.html
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Seed of the virtual bench and of the sweeps that are drawn on the spot
@@ -98,7 +98,7 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     let args = &args.quickened();
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let progress = Progress::new("evaluate");
-    progress.format_prefix("reading model and sweeps");
+    progress.stage("reading model and sweeps");
     let (tracker, card) = load(&args.model, &burn_device())?;
     let shipped = || Some(args.model.join("baseline")).filter(|folder| folder.join("model.json").is_file());
     let baseline = args.baseline.clone().or_else(shipped).map(|f| baseline(&f, &card)).transpose()?;

@@ -30,7 +30,7 @@ pub struct FitGprArgs {
     /// Folder for calibration.json, fit-gpr.json and report.html
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Where the moments come from [default: twin where the session has twin.csv, else rod]
@@ -103,7 +103,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     }
     let default = if data.twin.is_empty() { LabelSource::Rod } else { LabelSource::Twin };
     let progress = Progress::new("fit-gpr");
-    progress.format_prefix("moments of the poses");
+    progress.stage("moments of the poses");
     let labels = moment_labels(data, args.labels.unwrap_or(default))?;
     let (mut training, unlabelled) = training_set(data, &labels);
     for point in &unlabelled {
@@ -121,7 +121,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         fbg: data.fbg.clone(),
         ..FitOptions::default()
     };
-    progress.format_prefix("fitting and cross-validating the maps");
+    progress.stage("fitting and cross-validating the maps");
     let whose = || format!("session {:?}", session.id);
     // The released map is reproduced as it is.
     let rest = if options.released { None } else { test_rest(&training, &options).with_context(whose)? };

@@ -25,7 +25,7 @@ use clap::{Args, ValueEnum};
 use document::{Geometry, Root, WhiskerDocument, curvature, described, rest_models};
 use dynamics::{DynamicsArgs, dynamics};
 use nalgebra::Vector3;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use stiffness::stiffness;
 use wcal_core::document::from_json;
@@ -34,8 +34,8 @@ use wcal_core::ranges::Range;
 use wcal_core::shapes_document::{PairDocument, SHAPES_FORMAT, ShapesDocument};
 use wcal_core::{InputFile, Provenance};
 use wcal_mujoco::mjcf::{MjcfOptions, mjcf};
-use wcal_rod::{MeasuredShape, fit_rest};
-use wcal_vision::rig::Rig;
+use wcal_rod::{MeasuredShape, RestFit, fit_rest};
+use wcal_vision::rig::{Rig, RigWhisker};
 
 /// Elastic moduli of NiTi, GPa: only their ratio bears on a held wire's shape, and little.
 const YOUNGS_GPA: f64 = 75.0;
@@ -71,7 +71,7 @@ pub struct FitWhiskerArgs {
     /// Folder for whisker.toml and the MuJoCo model whisker.xml
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Print the result as JSON on stdout
@@ -130,23 +130,7 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     let document: ShapesDocument = from_json(&text, SHAPES_FORMAT, &[RANGES])
         .with_context(|| format!("{}: expected shapes.json of `wcal stereo-shape`", args.shapes.display()))?;
     let rig = Rig::read(&args.rig)?.whisker;
-    anyhow::ensure!(
-        rig.arc_curvature_per_mm > 0.0 && rig.straight_mm < rig.length_mm,
-        "{}: expected a whisker with straight_mm and arc_radius_mm, found none",
-        args.rig.display()
-    );
-    let nominal = WhiskerSpec {
-        diameter_mm: rig.diameter_mm,
-        youngs_gpa: YOUNGS_GPA,
-        shear_gpa: SHEAR_GPA,
-        density_kg_m3: None,
-        rest_shape: RestShape::StraightArc {
-            straight_mm: rig.straight_mm,
-            arc_radius_mm: 1.0 / rig.arc_curvature_per_mm,
-            length_mm: rig.length_mm,
-        },
-        gravity_direction: None,
-    };
+    let nominal = nominal(&rig, &args.rig)?;
     let (mut usable, mut warnings) = (Vec::new(), Vec::new());
     for pair in &document.pairs {
         match measured(pair) {
@@ -160,32 +144,14 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
         RestChoice::FreeCurvature => wcal_rod::RestChoice::FreeCurvature,
     };
     let progress = Progress::new("fit-whisker");
-    progress.format_prefix("rest shape");
+    progress.stage("rest shape");
     let mut fit = fit_rest(&nominal, &usable, choice)?;
     let moved = moved_by_shared(&document, &usable);
-    if moved.is_empty() {
-        warnings.push(
-            "the shapes state no shared_errors: what all shapes have in common (cameras, light, the wire's end) is not in the standard deviations"
-                .to_owned(),
-        );
-    } else {
+    if !moved.is_empty() {
         fit.add_common_errors(&nominal, &moved)?;
     }
-    warnings.extend(fit.excluded.iter().map(|(name, why)| format!("{name} is left out: {why}")));
-    if fit.covariance.is_none() {
-        warnings.push(format!(
-            "expected three shapes or more for standard deviations, found {}",
-            fit.shapes.len()
-        ));
-    }
-    if fit.rms_over_sd > DOUBTFUL {
-        warnings.push(format!(
-            "the residuals are {:.1} times what the shapes state: a {} in a frictionless groove is not the whole truth",
-            fit.rms_over_sd,
-            fit.model.name()
-        ));
-    }
-    progress.format_prefix("stiffness");
+    warnings.extend(doubts(&fit, moved.is_empty()));
+    progress.stage("stiffness");
     let stiffness = args.moments.as_ref().map(|session| stiffness(session, &nominal, &fit)).transpose()?;
     if let Some(s) = &stiffness {
         warnings.extend(s.left_out.iter().map(|why| format!("moments: {why}: left out")));
@@ -232,36 +198,80 @@ pub fn run(args: &FitWhiskerArgs) -> anyhow::Result<ExitCode> {
     if args.json {
         println!("{}", serde_json::to_string_pretty(&result)?);
     } else {
-        for model in &result.rest_models {
-            println!(
-                "{:<18} {:>10.1}  ({} unknowns)",
-                format!("bic {}", model.model),
-                model.bic,
-                model.unknowns
-            );
-        }
-        for (k, name) in fit.model.names().iter().enumerate() {
-            let sd = fit.sd(k).map_or_else(|| "sd not known".to_owned(), |sd| format!("sd {sd:.5}"));
-            println!("{name:<18} {:>10.5}  {sd}", fit.values[k]);
-        }
-        if let Some(s) = &result.stiffness {
-            println!(
-                "{:<18} {:>10.5}  sd {:.5} (by the geometry {:.5}); {} points, RMS {:.4} N mm",
-                "youngs_gpa", s.youngs_gpa, s.sd_gpa, s.sd_by_geometry_gpa, s.points, s.rms_nmm
-            );
-        }
-        println!(
-            "{} shapes, RMS {:.4} mm, {:.2} of the stated sd",
-            fit.shapes.len(),
-            fit.rms_mm,
-            fit.rms_over_sd
-        );
+        print_result(&result, &fit);
     }
     if result.provenance.simulated {
         eprintln!("fit-whisker: SIMULATED: the shapes or moments are not measured");
     }
     eprintln!("fit-whisker: {}", args.out.join("whisker.toml").display());
     Ok(if warnings.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(3) })
+}
+
+/// The wire as the rig has it.
+fn nominal(rig: &RigWhisker, place: &Path) -> anyhow::Result<WhiskerSpec> {
+    anyhow::ensure!(
+        rig.arc_curvature_per_mm > 0.0 && rig.straight_mm < rig.length_mm,
+        "{}: expected a whisker with straight_mm and arc_radius_mm, found none",
+        place.display()
+    );
+    Ok(WhiskerSpec {
+        diameter_mm: rig.diameter_mm,
+        youngs_gpa: YOUNGS_GPA,
+        shear_gpa: SHEAR_GPA,
+        density_kg_m3: None,
+        rest_shape: RestShape::StraightArc {
+            straight_mm: rig.straight_mm,
+            arc_radius_mm: 1.0 / rig.arc_curvature_per_mm,
+            length_mm: rig.length_mm,
+        },
+        gravity_direction: None,
+    })
+}
+
+/// What a user should know of a fit of the rest shape.
+fn doubts(fit: &RestFit, no_common_errors: bool) -> Vec<String> {
+    let mut all = Vec::new();
+    if no_common_errors {
+        all.push(
+            "the shapes state no shared_errors: common errors (cameras, light, the wire's end) are not in the standard deviations"
+                .to_owned(),
+        );
+    }
+    all.extend(fit.excluded.iter().map(|(name, why)| format!("{name} is left out: {why}")));
+    if fit.covariance.is_none() {
+        let found = fit.shapes.len();
+        all.push(format!("expected three shapes or more for standard deviations, found {found}"));
+    }
+    if fit.rms_over_sd > DOUBTFUL {
+        all.push(format!(
+            "the residuals are {:.1} times their stated uncertainty: a {} in a frictionless groove does not explain the shapes",
+            fit.rms_over_sd,
+            fit.model.name()
+        ));
+    }
+    all
+}
+
+fn print_result(result: &WhiskerDocument, fit: &RestFit) {
+    for model in &result.rest_models {
+        println!("{:<18} {:>10.1}  ({} unknowns)", format!("bic {}", model.model), model.bic, model.unknowns);
+    }
+    for (k, name) in fit.model.names().iter().enumerate() {
+        let sd = fit.sd(k).map_or_else(|| "sd not known".to_owned(), |sd| format!("sd {sd:.5}"));
+        println!("{name:<18} {:>10.5}  {sd}", fit.values[k]);
+    }
+    if let Some(s) = &result.stiffness {
+        println!(
+            "{:<18} {:>10.5}  sd {:.5} (by the geometry {:.5}); {} points, RMS {:.4} N mm",
+            "youngs_gpa", s.youngs_gpa, s.sd_gpa, s.sd_by_geometry_gpa, s.points, s.rms_nmm
+        );
+    }
+    println!(
+        "{} shapes, RMS {:.4} mm, {:.2} of the stated sd",
+        fit.shapes.len(),
+        fit.rms_mm,
+        fit.rms_over_sd
+    );
 }
 
 /// Provenance in one line: program, command, time and every input with its SHA-256.

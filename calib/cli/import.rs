@@ -45,7 +45,7 @@ pub struct ImportArgs {
     /// Folder of the new session
     #[arg(long, value_name = "SESSION")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Identifier of the session [default: the folder's name]

@@ -41,7 +41,7 @@ pub struct Reporter {
 
 impl Reporter {
     /// Says which stage runs where its part of the work is not known.
-    pub fn format_prefix(&self, stage: &str) {
+    pub fn stage(&self, stage: &str) {
         stage.clone_into(&mut self.state.lock().unwrap_or_else(PoisonError::into_inner).stage);
     }
 
@@ -97,15 +97,9 @@ impl Progress {
         self.reporter.at(stage, done);
     }
 
-    /// See [`Reporter::format_prefix`].
-    pub fn format_prefix(&self, stage: &str) {
-        self.reporter.format_prefix(stage);
-    }
-
-    /// Shows how far `verify`'s search is, for the rest of the program.
-    pub fn hear_search(&self) {
-        let reporter = self.reporter();
-        wcal_trace::method::progress::on_progress(move |stage, done| reporter.at(stage, done));
+    /// See [`Reporter::stage`].
+    pub fn stage(&self, stage: &str) {
+        self.reporter.stage(stage);
     }
 
     /// An end for a library's callback.

@@ -67,7 +67,7 @@ pub struct SimulateArgs {
     /// Folder for the shards
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Write report.html: counts by verdict and event, objects, sweeps of each kind drawn; no network needed

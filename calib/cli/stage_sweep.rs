@@ -25,8 +25,8 @@ use wcal_drivers::bench::in_process::InProcess;
   wcal stage-sweep --rig rigs/virtual --plan rigs/plans/paper-27.toml --bench bench.json --home --out session
   wcal fit-gpr session --out fit; wcal verify session --out verify
 
-Ctrl-C, SIGTERM, SIGHUP and every fault stop the stage and leave a session that opens; `--resume SESSION` goes on where it stopped.
-One sweep at a time records a session and drives a stage.
+Ctrl-C, SIGTERM, SIGHUP and every fault stop the stage and leave a readable session; `--resume SESSION` continues it.
+A session and a stage each allow one sweep at a time.
 Exit code 0: good; 1: stopped, or nothing could be recorded; 3: finished, with data lost or warnings that matter.")]
 pub struct StageSweepArgs {
     /// Rig: rig.toml or the folder that holds it
@@ -35,25 +35,25 @@ pub struct StageSweepArgs {
     /// Plan file
     #[arg(long, value_name = "plan.toml")]
     pub plan: PathBuf,
-    /// Session folder to make; what was measured before is never replaced
+    /// Session folder to create; earlier measurements are never replaced
     #[arg(long, value_name = "SESSION", required_unless_present_any = ["resume", "dry_run"])]
     pub out: Option<PathBuf>,
-    /// Go on with a session that was stopped
+    /// Resume an interrupted session
     #[arg(long, value_name = "SESSION", conflicts_with = "out")]
     pub resume: Option<PathBuf>,
     /// Addresses as `wcal virtual-bench` prints them; they replace those of the rig
     #[arg(long, value_name = "ADDRESSES.json")]
     pub bench: Option<PathBuf>,
-    /// Sweep the virtual bench of a scenario in this process, as fast as the computer can, instead of the rig's devices; no cameras
+    /// Use a scenario's virtual bench in this process instead of the rig's devices, faster than real time; without cameras
     #[arg(long, value_name = "S.toml", conflicts_with_all = ["bench", "resume", "live"])]
     pub scenario: Option<PathBuf>,
-    /// Search the stage's reference where it has none (moves to the home switch)
+    /// Home the stage if it has no reference (moves to the home switch)
     #[arg(long)]
     pub home: bool,
-    /// Serve a live view for Foxglove (Open connection, ws://127.0.0.1:8765); loopback unless another address is given
+    /// Serve a live view for Foxglove (Open connection, ws://127.0.0.1:8765); on loopback unless an address is given
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
     pub live: Option<SocketAddr>,
-    /// Check limits and print the path; nothing moves
+    /// Check limits and print the path without moving
     #[arg(long)]
     pub dry_run: bool,
     /// Print the result as JSON on stdout

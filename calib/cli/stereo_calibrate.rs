@@ -74,7 +74,7 @@ pub struct StereoCalibrateArgs {
     /// Folder for stereo.json and its exports
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Print stereo.json on stdout
@@ -144,7 +144,7 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
     let board = Board { size: args.board, square_mm: args.square_mm, pattern };
     let (mut document, _) = {
         let progress = Progress::new("stereo-calibrate");
-        calibrate_folders(&args.left, &args.right, &board, lens, &|stage| progress.format_prefix(stage))?
+        calibrate_folders(&args.left, &args.right, &board, lens, &|stage| progress.stage(stage))?
     };
     let pictures = [list_pictures(&args.left)?, list_pictures(&args.right)?].concat();
     document.provenance = provenance(pictures.iter().chain(&args.reference).map(PathBuf::as_path));

@@ -28,35 +28,35 @@ use wcal_vision::stereo::StereoCameras;
   wcal stereo-shape SESSION --cameras calibration/stereo.json
   wcal stereo-shape scene/left scene/right --cameras calibration/stereo.json --rig rig.toml --out shapes --report
 
-Of a session the pairs of its settled poses are taken, with its rig; shapes.json goes into it, each pair with its point, and session.toml
-names it. Pairs of the holdout's poses are fitted apart from the others, into shapes-holdout.json.
+For a session, the pairs of its settled poses and its own rig are used. shapes.json is written into the session and named in session.toml.
+Pairs of the holdout's poses are fitted separately, into shapes-holdout.json.
 
 Exit code 3: finished, with pairs rejected or warnings that matter, each named; 1: no pair could be used.")]
 pub struct StereoShapeArgs {
-    /// Session whose poses were pictured; or left pictures: a folder or a pattern
+    /// Session with pictures of its poses; or left pictures: a folder or a pattern
     #[arg(value_name = "SESSION | LEFT")]
     pub left: String,
     /// Right pictures
     #[arg(requires_all = ["rig", "out"])]
     pub right: Option<String>,
-    /// Calibration of the cameras: stereo.json, or another tool's (OpenCV, one file or two; Kalibr; both ROS files), whose errors are
-    /// not known
+    /// Calibration of the cameras: stereo.json, or another tool's (OpenCV, one file or two; Kalibr; both ROS files), whose
+    /// uncertainties are unknown
     #[arg(long, num_args = 1..=2, required = true, value_name = "FILE")]
     pub cameras: Vec<PathBuf>,
     /// Rig: whisker, tags, groove; a session has its own
     #[arg(long, value_name = "rig.toml", requires = "right")]
     pub rig: Option<PathBuf>,
-    /// Pictures of the same scene without the wire, left and right (a picture, a folder or a pattern; several are averaged):
-    /// cables and texture in them are not taken for the wire
+    /// Pictures of the same scene without the wire, left and right (a picture, a folder or a pattern; several are averaged).
+    /// They are subtracted, so that cables and texture are not mistaken for the wire
     #[arg(long, num_args = 2, value_names = ["LEFT", "RIGHT"])]
     pub background: Option<Vec<String>>,
-    /// Folder for shapes.json and the report; of a session for the report
+    /// Folder for shapes.json and the report; for a session, the report only
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
-    /// Write report.html: pictures with what was found, residuals, and the shapes in space, to be turned; no network needed
+    /// Write report.html: annotated pictures, residuals, and a rotatable 3D view; works offline
     #[arg(long, requires = "out")]
     pub report: bool,
     /// Print shapes.json on stdout
@@ -153,7 +153,7 @@ impl Shaper {
         };
         if self.stereo.covariance.is_none() {
             result.document.warnings.push(format!(
-                "{} states no errors of the cameras: the standard deviations hold without them",
+                "{} has no camera uncertainties: stated uncertainties exclude camera calibration",
                 self.read[0].display()
             ));
         }

@@ -40,54 +40,54 @@ use wcal_track::model_file::{load, read_card};
   wcal track sweep.mcap --rig rigs/bench --calibration calibration.json --out track.csv
   wcal track --rig rigs/bench --calibration calibration.json --model model --out track.csv --mcap track.mcap --live
 
-SOURCE: a table as for `wcal predict`, with t_s in every row; a recording (.mcap, with --rig) or a session folder; without it the rig's
-interrogator, until Ctrl-C or --seconds. A stream goes through the rig's channel map, temperature compensation, a linear-phase low-pass
-of --lag-s and the map; t_s of a row is the time that it is true of, the lag before the scan that completed it. Events (onset, release,
-slip, snap, jump) are told from every scan; the first --prefix-s must be without contact. Beside track.csv come track.json (filters, noise,
-limits, counts, contact intervals) and, of a stream, track-events.csv. The network was trained on SIMULATED sweeps.
-Several whiskers: gratings with `whisker = \"ID\"` in rig.toml, and --calibration ID=FILE, --model ID=DIR for each.
+SOURCE is a table (as for `wcal predict`, with t_s in every row), a session folder, or a recording (.mcap, with --rig). Without it the rig's
+interrogator is read until Ctrl-C or --seconds.
 
-A session folder without --model: the contact comes from physics, not from a network. The moments of the points table and the way of the
-groove on each trajectory (stage_mm along its direction, the place unknown) give the place of the wire in the groove with its covariance;
-groove_x_mm, groove_y_mm and groove_z_mm are compared afterwards: RMS error, Cramer-Rao bound, coverage of the 95 % regions. Where moments
-and motion do not belong together (other wire, reversed, in metres) status says motion-disagrees, and the program why; where a contact that
-slides over the object explains them, sliding-assumed. A table is tracked
-so along --motion, or along motion columns of its own; readings at which the log tells nothing are motion-lost. Without a model and without
-any motion each loaded reading has the arc of the wire that its moments allow (arclength_regions95), and says motion-lost.
+Methods:
+  No --model, motion known: physics. The motion comes from the session (stage_mm along each trajectory), --motion, motion columns of the table,
+  or the rig's stage ([base] carried_along: the stage carries the base). A row gives the place of the wire's axis at the contact with its
+  covariance. In a stream the region narrows as the contact goes on.
+  --model: a network, trained on SIMULATED sweeps. It knows one motion: the base moves along its +z past an object at rest.
+  Neither: each loaded reading gives the arc of the wire that its moments allow (arclength_regions95).
 
-A stream without --model is tracked in the same way, row by row: along the stage of the rig (the groove since the mount of a trajectory, or the
-base where the rig has [base] carried_along), or of a recording along --motion, whose t_s is that of the rows. A row knows what came before it:
-its region narrows as the contact goes on.
+Status of a row:
+  motion-disagrees  moments and motion do not belong together (other wire, reversed, in metres); a message says why
+  sliding-assumed   only a contact that slides over the object explains the moments
+  motion-lost       the motion is not known at this reading
+  untrained-motion  the network was not trained on this motion (press, hold, reversal)
+  motion-assumed    the motion is not known: two moments cannot tell a press from a sweep. The region holds for any motion; --sweep states
+                    that it is a sweep
 
-The network knows one motion: the base goes along its +z past an object that stands still. Contact in any other (a groove that presses and
-holds, a reversal) is marked untrained-motion in status where it is known or noticed. Two moments cannot tell a press from a sweep: where the
-motion is not known (poses of the base, [base] in the rig, --base-mm-s) rows in contact are motion-assumed, with regions that hold for any
-motion, unless --sweep vouches for it. Where the table or the session has groove_x_mm, groove_y_mm and groove_z_mm, the
-answers are compared with them and the error is printed with the coverage of the stated regions.
+Where the table or session has groove_x_mm, groove_y_mm and groove_z_mm, the answers are compared with them: RMS error, Cramer-Rao bound
+(physics), coverage of the 95 % regions.
 
-Exit code 3: tracked, with readings lost, dropped or unusable (flagged), or with contact in a motion that the model was never trained on or
-that is not known.
-4: readings outside the valid region (marked), stated regions that do not hold the known groove, or a calibration or model that is not to be
-trusted (unverified, expired, failed, changed, of another whisker, at another rate): nothing is written then without --force, with which
-every row says so.")]
+Streams: scans pass the rig's channel map, temperature compensation, a linear-phase low-pass (--lag-s) and the map. t_s of a row is its effective
+time: the scan that completed it less the filter's lag. Every scan is tested for events (onset, release, slip, snap, jump). The first
+--prefix-s must be free of contact. Several whiskers: gratings with `whisker = \"ID\"` in rig.toml, and --calibration ID=FILE, --model ID=DIR for each.
+
+Beside track.csv: track.json (filters, noise, limits, counts, contact intervals) and, for a stream, track-events.csv.
+
+Exit code 3: tracked, with readings lost, dropped or unusable (flagged), or contact in an unknown or untrained motion.
+4: readings outside the valid region (marked), regions that do not hold the known groove, or a calibration or model that cannot be trusted
+(unverified, expired, failed, changed, of another whisker, at another rate). Then nothing is written without --force, and with it every row says so.")]
 pub struct TrackArgs {
     /// Table of readings, recording (.mcap) or session folder; without it the rig's interrogator
     pub source: Option<PathBuf>,
     /// calibration.json of verify; ID=FILE for one of several whiskers
     #[arg(long, value_name = "[ID=]FILE", required = true)]
     pub calibration: Vec<String>,
-    /// Folder of `wcal train`; ID=DIR for one of several whiskers. None is needed where the motion is known (session, --motion, the rig's stage)
+    /// Folder of `wcal train`; ID=DIR for one of several whiskers. Not needed where the motion is known
     #[arg(long, value_name = "[ID=]DIR")]
     pub model: Vec<String>,
     /// Log of the relative motion of base and object (CSV: t_s and object_x_mm .. object_z_mm, or base_x_mm .. base_z_mm with base_qw ..
-    /// base_qz; _m for metres): the contact comes from physics, no model is needed. Without it such columns of the table serve
+    /// base_qz; _m for metres). Default: such columns of the table
     #[arg(long, value_name = "CSV", conflicts_with = "model")]
     pub motion: Option<PathBuf>,
     /// Locate the contacts of a table by its moments alone: a sweep past an object at rest is assumed, along the wire's +z or -z at a steady speed
     /// of 2.5 to 7.5 mm/s; poses in the table serve to state world coordinates and the distance from the object
     #[arg(long, conflicts_with_all = ["model", "motion"])]
     pub moments_only: bool,
-    /// What the clock of the motion is ahead of that of the readings, s
+    /// Clock of the motion minus clock of the readings, s
     #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true)]
     pub motion_offset_s: f64,
     /// Standard deviation of that offset, s
@@ -118,18 +118,18 @@ pub struct TrackArgs {
     /// Addresses as `wcal virtual-bench` prints them; they replace those of the rig
     #[arg(long, value_name = "ADDRESSES.json", requires = "rig")]
     pub bench: Option<PathBuf>,
-    /// Class of what is touched: the spread of that class instead of the common one (classes of `wcal train --classes`)
+    /// Class of the touched object: use the errors of this class (`wcal train --classes`)
     #[arg(long, value_name = "CLASS")]
     pub object_class: Option<String>,
     /// Speed of the base along +z, where it is constant and known, mm/s
     #[arg(long, value_name = "MM/S")]
     pub base_mm_s: Option<f64>,
-    /// Vouch that the base goes along its +z past an object at rest, at a speed of training, wherever the motion is not known: rows in contact
-    /// are then not motion-assumed, and have the network's regions
+    /// State that the base moves along its +z past an object at rest, at a speed within the training range: rows in contact are not
+    /// motion-assumed and have the network's regions
     #[arg(long, requires = "model")]
     pub sweep: bool,
-    /// Time at the beginning, without contact, whose mean moments are the zero, s; 0: the calibration's zero. Without it a table takes the free
-    /// readings at its beginning where they can be told, anything else the calibration's
+    /// Duration at the start, free of contact, whose mean moments are the zero, s; 0 keeps the calibration's zero. Default: a table
+    /// uses the free readings at its start where they can be identified, a stream the calibration's zero
     #[arg(long, value_name = "S")]
     pub tare_s: Option<f64>,
     /// Table to write
@@ -138,7 +138,7 @@ pub struct TrackArgs {
     /// Recording to write: contact points, events and, live, the raw streams
     #[arg(long, value_name = "MCAP")]
     pub mcap: Option<PathBuf>,
-    /// Serve a live view for Foxglove (Open connection, ws://127.0.0.1:8765); loopback unless another address is given
+    /// Serve a live view for Foxglove (Open connection, ws://127.0.0.1:8765); on loopback unless an address is given
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
     pub live: Option<SocketAddr>,
     /// Stop a stream after this time by the interrogator's clock, s
@@ -147,26 +147,25 @@ pub struct TrackArgs {
     /// Replay a recording as fast as it was recorded, not as fast as possible
     #[arg(long)]
     pub real_time: bool,
-    /// Rows a second of a stream; the network was trained near 10
+    /// Rows per second of a stream; the network was trained near 10
     #[arg(long, value_name = "HZ", default_value_t = 10.0)]
     pub rate_hz: f64,
     /// Lag of the filter of a stream, s
     #[arg(long, value_name = "S", default_value_t = 0.1)]
     pub lag_s: f64,
-    /// Beginning of a stream without contact, from which the noise is taken, s
+    /// Start of a stream, free of contact, from which the noise is estimated, s
     #[arg(long, value_name = "S", default_value_t = 3.0)]
     pub prefix_s: f64,
-    /// False events an hour that noise as in the prefix may cause at most, for each whisker
+    /// Largest number of false events per hour and whisker under noise as in the prefix
     #[arg(long, value_name = "N", default_value_t = 1.0)]
     pub false_alarms_per_hour: f64,
-    /// Scans that may wait for the tracker; more are dropped, counted and flagged
+    /// Scans that may wait for the tracker; further ones are dropped, counted and flagged
     #[arg(long, value_name = "SCANS", default_value_t = 20_000)]
     pub queue: usize,
-    /// Track although calibration or model do not vouch for it (every row says so), or although --out is another file
+    /// Track with a calibration or model that cannot be trusted (every row says so), or overwrite an unrelated --out
     #[arg(long)]
     pub force: bool,
-    /// Write the contacts as a cloud (-cloud.ply) and the surface through them (-surface.ply) beside the table; the base's pose or speed must
-    /// be known
+    /// Write the contacts as a cloud (-cloud.ply) and the surface through them (-surface.ply) beside the table; needs the base's pose or speed
     #[arg(long)]
     pub surface: bool,
     /// Print the summary (track.json) on stdout
@@ -261,7 +260,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     }
 }
 
-/// Says what speaks against the calibrations and models, and what they make of a contact; whether the rows may be written.
+/// Prints why calibrations or models cannot be trusted, and the contact's uncertainty; returns whether rows may be written.
 fn trusted(args: &TrackArgs, checked: &[CheckedCalibration]) -> bool {
     for one in checked {
         let whose = if one.name().is_empty() { String::new() } else { format!("whisker {}: ", one.name()) };

@@ -29,7 +29,7 @@ and the drag of air, and upright ones; `wcal evaluate OUT/sweeps/clean --model O
 
 Objects are split: some are held out for the early stop and the stated spread, some are never looked at (`wcal evaluate` scores them as
 unseen), and of the others the last tenth of the sweeps is kept back. Writes model.safetensors, model.json (the card), report.html (learning
-curves) and checkpoint/, from which the same command goes on where it stopped. Everything here is SIMULATED.")]
+curves) and checkpoint/, from which the same command resumes. Everything here is SIMULATED.")]
 pub struct TrainArgs {
     /// Folder of shards from `wcal simulate`; without it the sweeps are made, too
     pub sweeps: Option<PathBuf>,
@@ -81,7 +81,7 @@ pub struct TrainArgs {
     /// Folder for the model
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Print the card as JSON on stdout

@@ -48,7 +48,7 @@ pub struct TwinArgs {
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
 }
@@ -93,7 +93,7 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
         Engine::Rod => {
             ensure!(args.report.is_none(), "--report: expected with --engine mujoco, found --engine rod");
             let progress = Progress::new("twin");
-            progress.format_prefix("rod");
+            progress.stage("rod");
             by_rod(data)?
         }
         Engine::Mujoco => {

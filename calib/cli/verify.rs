@@ -5,6 +5,7 @@ mod text;
 pub use text::print_text;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::progress::Progress;
 use crate::report::put_page;
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
@@ -26,7 +27,7 @@ use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, 
 use wcal_core::{Provenance, SessionData, Unsealing, VerificationStatus, WhiskerData};
 use wcal_report::{Page, ReportInput};
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
-use wcal_trace::method::options::Options;
+use wcal_trace::method::options::{Options, ProgressListener};
 use wcal_trace::scalar::{ScalarData, verify_scalar};
 use wcal_trace::verify::VerifyOptions;
 use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};
@@ -40,34 +41,34 @@ use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};
   wcal verify session --add next-measurement --out out2
   wcal verify session --accept groove-friction,creep
 
-A table that is no session yet: wcal import TABLE.csv ... --out SESSION first.
+Turn a plain table into a session first: wcal import TABLE.csv ... --out SESSION.
 
-Exit code 0: adequate, or an effect was found and added; 1: refused (verify.json says why), or an error; 3: as 0, but the session was read with warnings, or single sealed readings lie far outside the noise; 4: ambiguous, unknown-effect or twin-fault.")]
+Exit code 0: adequate, or an effect was found and added; 1: refused (verify.json says why), or an error; 3: as 0, but the session has warnings, or single sealed readings lie far outside the noise; 4: ambiguous, unknown-effect or twin-fault.")]
 pub struct VerifyArgs {
     /// Session folder
     pub session: PathBuf,
-    /// Sealed readings kept apart from the session: another session, or a table
+    /// Independent test data, not used in the fit: another session, or a table
     #[arg(long, value_name = "SESSION-or-CSV")]
     pub holdout: Option<PathBuf>,
-    /// A later session of the same sensor, fitted together with this one (own zero a seating); may be repeated
+    /// A later session of the same sensor, fitted together with this one (separate zero offset per mounting); may be repeated
     #[arg(long, value_name = "SESSION")]
     pub add: Vec<PathBuf>,
-    /// Accept this explanation (effects separated by commas) although the data leave others open too
+    /// Accept this explanation (effects separated by commas) although others remain
     #[arg(long, value_name = "ID", value_delimiter = ',')]
     pub accept: Vec<String>,
-    /// A calibration to judge on readings that were not in its fit: the holdout, or the whole session where it is another one. Where it does not hold, a copy with status "failed" is written as judged-calibration.json
+    /// A calibration to judge on readings outside its fit: the holdout, or a whole other session. If it fails, a copy with status "failed" is written as judged-calibration.json
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
-    /// A sweep of the same whisker over an object that is known (`wcal import --kind sweep`): explanations that it refutes are left out (kind whisker)
+    /// A sweep of the same whisker over a known object (`wcal import --kind sweep`). Explanations that it refutes are rejected (kind whisker)
     #[arg(long, value_name = "SWEEP")]
     pub sweep: Option<PathBuf>,
-    /// Days for which the calibration written is valid (`expires`); `predict` and `track` refuse it afterwards
+    /// Validity of the written calibration, days (`expires`); afterwards `predict` and `track` refuse it
     #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..36_500))]
     pub valid_days: Option<u32>,
-    /// Folder for verify.json, predictions.csv, report.html (with report.json, of which `wcal report` makes it again) and calibration.json
+    /// Folder for verify.json, predictions.csv, report.html, report.json (input of `wcal report`) and calibration.json
     #[arg(long, value_name = "DIR", default_value = "verify-out")]
     pub out: PathBuf,
-    /// Write over what is no earlier result
+    /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
     /// Print verify.json on stdout
@@ -111,10 +112,10 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
         eprintln!("warning: {warning}");
     }
     let given = args.calibration.as_deref().map(|path| GivenCalibration::read(path, &session)).transpose()?;
-    let progress = crate::progress::Progress::new(&format!("verify {}", session.id));
-    progress.hear_search();
+    let progress = Progress::new(&format!("verify {}", session.id));
     let order = VerifyOrder {
         seed: args.seed,
+        progress: listener(&progress),
         accept: &args.accept,
         given,
         sweep: args.sweep.as_deref(),
@@ -174,11 +175,19 @@ struct Outcome {
     judged: Option<CalibrationJudgement>,
 }
 
+/// Shows how far a search is on the terminal.
+pub fn listener(progress: &Progress) -> ProgressListener {
+    let reporter = progress.reporter();
+    ProgressListener::new(move |stage, done| reporter.at(stage, done))
+}
+
 /// What is asked of the loop beside the session.
 #[derive(Default)]
 pub struct VerifyOrder<'a> {
     /// Seed of every random draw.
     pub seed: u64,
+    /// Hears how far the search is.
+    pub progress: ProgressListener,
     /// Effects to be accepted; none leaves the choice to the verdict.
     pub accept: &'a [String],
     /// A calibration to be judged.
@@ -195,12 +204,12 @@ pub fn verify_session(
     out: &mut OutputFolder<'_>,
     order: &VerifyOrder<'_>,
 ) -> anyhow::Result<ReportInput> {
-    let VerifyOrder { seed, accept, given, sweep, valid_days } = order;
+    let VerifyOrder { seed, progress, accept, given, sweep, valid_days } = order;
     let (seed, accept) = (*seed, *accept);
     let provenance = provenance(session, seed);
     let record = UnsealRecord::read(session, out.folder())?;
     let options = VerifyOptions {
-        search: Options { seed, ..Options::default() },
+        search: Options { seed, progress: progress.clone(), ..Options::default() },
         accept: accept.to_vec(),
         seal: record.seal(session, &provenance),
         ..VerifyOptions::default()

@@ -386,7 +386,8 @@ fn a_motion_that_is_not_the_moments_is_marked_row_by_row() {
     bench.write_motion(MM, |_, t, way| plain(t, way));
     let own = bench.along("blind.csv", &[]);
     assert_eq!(own.with_status("motion-disagrees"), 0, "control: {}", own.said);
-    bench.record.write_table(&bench.path("other.csv"), false, 1.4);
+    // A smaller factor is another arc length: within the stated errors of the motion (0.02 mm, 10 ms) a wire held at 15 mm explains 1.4.
+    bench.record.write_table(&bench.path("other.csv"), false, 2.0);
     let other = bench.along("other.csv", &[]);
     // A contact that slides explains a wrong calibration, too: never without the disagreement.
     assert!(other.with_status("motion-disagrees") > 20, "{}", other.said);

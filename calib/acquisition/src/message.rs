@@ -29,6 +29,11 @@ pub mod topic {
     pub const GROOVE: &str = "/groove/pose";
 }
 
+/// Time as a recording has it.
+pub(crate) fn nanoseconds(seconds: f64) -> u64 {
+    (seconds.max(0.0) * 1e9) as u64
+}
+
 /// A message with its schema.
 pub trait McapMessage: prost::Message + Default {
     /// Schema name.

@@ -9,6 +9,7 @@ use crate::assign::{Assigned, ChannelMap};
 use crate::clock_watch::ClockWatch;
 use crate::clocks::ClockPair;
 use std::collections::VecDeque;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use wcal_core::device::{DeviceError, DeviceErrorKind, FbgReading};
 
 /// Scans are averaged over this time before the drift is judged, s.
@@ -35,6 +36,10 @@ pub struct StreamCounts {
     pub pairs_refused: u64,
     /// Largest skew of a recorded pair, ms.
     pub worst_skew_ms: f64,
+}
+
+pub(crate) fn lock(monitor: &Mutex<Monitor>) -> MutexGuard<'_, Monitor> {
+    monitor.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Watches a stream.

@@ -133,7 +133,7 @@ pub fn write_pictures(
         let mut failed = None;
         read(path, |message| match message {
             Message::Frame(info) if info.step.or(info.board).is_some() => {
-                expected.insert((info.camera.clone(), crate::recorder::nanoseconds(info.host_s)), info);
+                expected.insert((info.camera.clone(), crate::message::nanoseconds(info.host_s)), info);
             }
             Message::PosePicture(camera, log_ns, png) => {
                 let Some(info) = expected.remove(&(camera.clone(), log_ns)) else { return };

@@ -2,7 +2,7 @@
 
 use crate::AcquisitionError;
 use crate::assign::ChannelMap;
-use crate::board_run::{AskBoard, BoardRun, shown_before};
+use crate::board_run::{BoardRun, shown_before};
 use crate::camera_pair::CameraPair;
 use crate::camera_watch::watch;
 use crate::monitor::Monitor;
@@ -12,12 +12,12 @@ use crate::reduce::{Reduction, recordings, reduce};
 use crate::replay_interrogator::ReplayInterrogator;
 use crate::rig::Rig;
 use crate::run_file::{RUN_FORMAT, RunFile, RunOutcome};
+pub use crate::session_begin::RecordRequest;
 use crate::session_begin::{OwnedSessionFolder, stage_lock};
 use crate::sweep::{Ending, Progress, SweepBench, SweepReport, acquire, run};
 use crate::tables::temperature_ratio;
 use std::collections::BTreeMap;
-use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -27,33 +27,6 @@ use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Stage}
 use wcal_core::files::write_atomic;
 use wcal_core::provenance::sha256_hex;
 use wcal_core::rig_devices::{DeviceOpener, InterrogatorRig};
-
-/// What to record and where.
-#[derive(Debug, Clone)]
-pub struct RecordRequest {
-    /// Text of rig.toml.
-    pub rig: String,
-    /// Text of the plan.
-    pub plan: String,
-    /// Where both were read, for messages.
-    pub places: [String; 2],
-    /// Session folder; new, or with `resume` one that was begun.
-    pub folder: PathBuf,
-    /// Go on where an earlier run stopped.
-    pub resume: bool,
-    /// Search the reference where there is none.
-    pub home: bool,
-    /// Where a live view listens, if there is to be one.
-    pub live: Option<SocketAddr>,
-    /// Hears where it listens in fact (port 0 is one of the system's choice).
-    pub on_live: fn(SocketAddr),
-    /// Asks a person to hold the calibration board, where the plan wants pictures of it and the bench does not do it itself.
-    pub ask_board: AskBoard,
-    /// Time of creation, RFC 3339.
-    pub created: String,
-    /// Command line.
-    pub command: Vec<String>,
-}
 
 /// What came of it.
 #[derive(Debug)]
@@ -248,15 +221,11 @@ fn add_outcome(folder: &Path, recording: String, recorded: &RecordResult) -> Res
         lost_scans: recorded.sweep.counts.lost,
         warnings: recorded.warnings(),
     });
-    save(&path, &as_text(&run)?)
+    Ok(write_atomic(&path, as_text(&run)?.as_bytes())?)
 }
 
 fn as_text(run: &RunFile) -> Result<String, AcquisitionError> {
     serde_json::to_string_pretty(run).map_err(|e| AcquisitionError::Recorder(e.to_string()))
-}
-
-pub(crate) fn save(path: &Path, text: &str) -> Result<(), AcquisitionError> {
-    Ok(write_atomic(path, text.as_bytes())?)
 }
 
 /// Rig, plan and time of creation, to the fraction of a second that it states.
@@ -294,7 +263,7 @@ fn describe(
     if path.exists() {
         same_bench(&path, run.simulated)?;
     } else {
-        save(&begun.makes("run.json"), &text)?;
+        write_atomic(&begun.makes("run.json"), text.as_bytes())?;
     }
     let about = BTreeMap::from([
         ("run".to_owned(), text),

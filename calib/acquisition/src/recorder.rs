@@ -1,7 +1,7 @@
 //! Writes `recording.mcap`: chunks with CRC, on disk within a fraction of a second.
 
 use crate::error::AcquisitionError;
-use crate::message::{FrameInfo, McapMessage, Scan, StagePosition, SweepEvent, topic};
+use crate::message::{FrameInfo, McapMessage, Scan, StagePosition, SweepEvent, nanoseconds, topic};
 use crate::pictures::{lossless, preview};
 use foxglove::messages::{CompressedImage, Log, Pose, PoseInFrame, Quaternion, Timestamp, log::Level};
 use foxglove::{
@@ -75,10 +75,6 @@ impl Drop for LiveView {
 struct Pace {
     flushed: Instant,
     synced: Instant,
-}
-
-pub(crate) fn nanoseconds(seconds: f64) -> u64 {
-    (seconds.max(0.0) * 1e9) as u64
 }
 
 pub(crate) fn timestamp(seconds: f64) -> Option<Timestamp> {

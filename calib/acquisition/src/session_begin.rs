@@ -1,14 +1,43 @@
 //! The folder of a session before its first move: locked, new or begun with the same rig and plan, and as it was when nothing comes of it.
 
 use crate::AcquisitionError;
-use crate::record::{RecordRequest, save};
+use crate::board_run::AskBoard;
 use crate::reduce::{recordings, refuse_empty};
 use crate::replay::completed_steps;
 use std::collections::BTreeSet;
 use std::fs;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use wcal_core::files::write_atomic;
 use wcal_core::lock::{FileLock, LockError};
 use wcal_core::rig_devices::StageRig;
+
+/// What to record and where.
+#[derive(Debug, Clone)]
+pub struct RecordRequest {
+    /// Text of rig.toml.
+    pub rig: String,
+    /// Text of the plan.
+    pub plan: String,
+    /// Where both were read, for messages.
+    pub places: [String; 2],
+    /// Session folder; new, or with `resume` one that was begun.
+    pub folder: PathBuf,
+    /// Go on where an earlier run stopped.
+    pub resume: bool,
+    /// Search the reference where there is none.
+    pub home: bool,
+    /// Where a live view listens, if there is to be one.
+    pub live: Option<SocketAddr>,
+    /// Hears where it listens in fact (port 0 is one of the system's choice).
+    pub on_live: fn(SocketAddr),
+    /// Asks a person to hold the calibration board, where the plan wants pictures of it and the bench does not do it itself.
+    pub ask_board: AskBoard,
+    /// Time of creation, RFC 3339.
+    pub created: String,
+    /// Command line.
+    pub command: Vec<String>,
+}
 
 /// Held while a sweep records into the folder. The name is that of a file half-written: nobody takes it for a result.
 const LOCK: &str = ".wcal-session.tmp";
@@ -76,7 +105,7 @@ impl OwnedSessionFolder {
             return Err(AcquisitionError::input(place, expected, "one that holds a session"));
         }
         for (name, text) in [("rig.toml", &request.rig), ("plan.toml", &request.plan)] {
-            save(&self.makes(name), text)?;
+            write_atomic(&self.makes(name), text.as_bytes())?;
         }
         Ok(BTreeSet::new())
     }

@@ -2,14 +2,16 @@
 
 use crate::error::AcquisitionError;
 use crate::message::SweepEvent;
+use crate::monitor::{Monitor, StreamCounts, lock};
 use crate::plan::{Plan, Pose, Step};
+use crate::recorder::Recorder;
 use crate::rig::Rig;
-use crate::sweep::{Progress, SILENCE, SweepBench, lock};
 use foxglove::messages::log::Level;
 use std::collections::BTreeSet;
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
-use wcal_core::deadline::{Deadline, move_allowance};
-use wcal_core::device::{DeviceError, DeviceErrorKind, StageReading};
+use wcal_core::deadline::{Deadline, Interrupt, move_allowance};
+use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Stage, StageReading};
 use wcal_core::rig_devices::Approach;
 
 /// Pause between stage polls while it moves, and while it stands.
@@ -30,6 +32,47 @@ const HOME_TRAVELS: f64 = 4.0;
 /// A wait by the device's clock may take this many times its length, and a margin (wall): a slower clock counts nothing any more.
 const SLOW_TIMES: f64 = 10.0;
 const SLOW_MARGIN: Duration = Duration::from_secs(30);
+
+/// A stream that is silent this long has failed (wall time).
+pub(crate) const SILENCE: Duration = Duration::from_secs(2);
+
+/// Opens the stage again after its link was lost.
+pub type Reopen<'a> = dyn FnMut() -> Result<Box<dyn Stage>, DeviceError> + 'a;
+
+/// What a sweep works with.
+pub struct SweepBench<'a> {
+    /// The linear stage.
+    pub stage: Box<dyn Stage>,
+    /// Opens it again.
+    pub reopen: &'a mut Reopen<'a>,
+    /// The mount.
+    pub mount: &'a mut dyn Mount,
+    /// Watches the stream; filled by [`crate::sweep::acquire`].
+    pub monitor: &'a Mutex<Monitor>,
+    /// Everything is recorded here.
+    pub recorder: &'a Recorder,
+    /// Set when the user wants an end.
+    pub interrupt: &'a Interrupt,
+    /// Waits: a bench in this process lets its own time pass instead.
+    pub pause: &'a mut dyn FnMut(Duration),
+}
+
+/// What a user may want to see while it runs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Progress {
+    /// Steps completed and in all.
+    pub step: usize,
+    /// Steps in all.
+    pub steps: usize,
+    /// Depth, mm.
+    pub stage_mm: f64,
+    /// Newest wavelengths of reference and sensing gratings, nm.
+    pub wavelengths_nm: [Option<f64>; 3],
+    /// Counters of the stream.
+    pub counts: StreamCounts,
+    /// Device time, s.
+    pub device_s: Option<f64>,
+}
 
 /// Where a sweep failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,60 +1,19 @@
 //! Carries out the steps of a plan on any stage and interrogator, recording everything.
 
-use crate::monitor::{Monitor, StreamCounts};
+use crate::monitor::{Monitor, StreamCounts, lock};
 use crate::plan::{Plan, Step};
 use crate::recorder::Recorder;
 use crate::rig::Rig;
-use crate::steps::{Fault, Sweep};
+use crate::steps::{Fault, SILENCE, Sweep};
+pub use crate::steps::{Progress, Reopen, SweepBench};
 use std::collections::BTreeSet;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-use wcal_core::deadline::Interrupt;
-use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, Mount, Stage, StageReading};
-
-/// A stream that is silent this long has failed (wall time).
-pub(crate) const SILENCE: Duration = Duration::from_secs(2);
+use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, StageReading};
 
 /// Pause of those who record until the sweep has heard of an interrupt.
 pub(crate) const INTERRUPTED: Duration = Duration::from_millis(10);
-
-/// Opens the stage again after its link was lost.
-pub type Reopen<'a> = dyn FnMut() -> Result<Box<dyn Stage>, DeviceError> + 'a;
-
-/// What a sweep works with.
-pub struct SweepBench<'a> {
-    /// The linear stage.
-    pub stage: Box<dyn Stage>,
-    /// Opens it again.
-    pub reopen: &'a mut Reopen<'a>,
-    /// The mount.
-    pub mount: &'a mut dyn Mount,
-    /// Watches the stream; filled by [`acquire`].
-    pub monitor: &'a Mutex<Monitor>,
-    /// Everything is recorded here.
-    pub recorder: &'a Recorder,
-    /// Set when the user wants an end.
-    pub interrupt: &'a Interrupt,
-    /// Waits: a bench in this process lets its own time pass instead.
-    pub pause: &'a mut dyn FnMut(Duration),
-}
-
-/// What a user may want to see while it runs.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Progress {
-    /// Steps completed and in all.
-    pub step: usize,
-    /// Steps in all.
-    pub steps: usize,
-    /// Depth, mm.
-    pub stage_mm: f64,
-    /// Newest wavelengths of reference and sensing gratings, nm.
-    pub wavelengths_nm: [Option<f64>; 3],
-    /// Counters of the stream.
-    pub counts: StreamCounts,
-    /// Device time, s.
-    pub device_s: Option<f64>,
-}
 
 /// How a sweep ended.
 #[derive(Debug, Clone, PartialEq)]
@@ -146,10 +105,6 @@ pub fn acquire(
     }
     // The recording is complete; a unit that does not confirm the end changes nothing.
     let _ = interrogator.stop();
-}
-
-pub(crate) fn lock(monitor: &Mutex<Monitor>) -> MutexGuard<'_, Monitor> {
-    monitor.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Carries out `steps`, leaving out those in `skip`. `home`: search the reference first where there is none.

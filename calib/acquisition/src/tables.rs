@@ -2,7 +2,7 @@
 
 use crate::clocks::ClockFit;
 use crate::error::AcquisitionError;
-use crate::reduce::Reduction;
+use crate::reduction::Reduction;
 use crate::rig::Rig;
 use crate::run_file::RunFile;
 use crate::windows::WindowMean;

@@ -170,7 +170,7 @@ pub fn replay(
                         let stage = format!("{at_s:.0} s of the stream tracked");
                         match args.seconds {
                             Some(all_s) => progress.at(&stage, at_s / all_s),
-                            None => progress.format_prefix(&stage),
+                            None => progress.stage(&stage),
                         }
                     }
                 }

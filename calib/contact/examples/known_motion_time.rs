@@ -17,7 +17,7 @@ use rand_distr::StandardNormal;
 use std::sync::Arc;
 use std::time::Instant;
 use wcal_contact::known_motion::{
-    ContactStream, Friction, MomentField, MotionRow, PoseNoise, RecursiveSettings, Settings,
+    ContactStream, CorrelatedNoise, Friction, MomentField, MotionRow, Settings,
 };
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_rod::Rod;
@@ -69,9 +69,9 @@ fn preemptions() -> u64 {
 
 fn main() {
     let rod = Rod::new(&WhiskerSpec::nominal(), 4.0).expect("a wire");
-    let pose =
-        Some(PoseNoise { covariance_nmm2: Matrix2::identity() * NOISE_NMM * NOISE_NMM, length_mm: 0.5 });
-    let settings = RecursiveSettings { common: Settings { clock_sd_s: 0.01, ..Settings::default() }, pose };
+    let covariance_nmm2 = Matrix2::identity() * NOISE_NMM * NOISE_NMM;
+    let correlated = Some(CorrelatedNoise::ByPose { covariance_nmm2, length_mm: 0.5 });
+    let settings = Settings { clock_sd_s: 0.01, correlated, ..Settings::default() };
     for (name, friction) in
         [("none", Friction::NONE), ("0.2", Friction { coefficient: 0.2, moving_share: 1.0 })]
     {

@@ -6,9 +6,7 @@
 use crate::ContactError;
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
 use crate::known_motion::contact_stream::FinishedEpisode;
-use crate::known_motion::{
-    ContactStream, Disagreement, MomentField, MotionRow, PoseNoise, RecursiveSettings, Settings,
-};
+use crate::known_motion::{ContactStream, CorrelatedNoise, Disagreement, MomentField, MotionRow, Settings};
 use crate::reading::{Moments, Reading, RowMotion};
 use crate::static_arc::StaticArc;
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
@@ -68,9 +66,10 @@ impl KnownMotionStream {
     fn along(&mut self, row: &Reading, m: &Moments, motion: &RowMotion) -> Result<Contact, ContactError> {
         let pose_nmm2 = m.pose_nmm2;
         let stream = self.stream.get_or_insert_with(|| {
-            let common = Settings { clock_sd_s: self.accuracy.clock_sd_s, ..Settings::default() };
-            let pose = Some(PoseNoise { covariance_nmm2: pose_nmm2, length_mm: POSE_MM });
-            ContactStream::new(Arc::clone(&self.field), RecursiveSettings { common, pose })
+            let correlated = Some(CorrelatedNoise::ByPose { covariance_nmm2: pose_nmm2, length_mm: POSE_MM });
+            let clock_sd_s = self.accuracy.clock_sd_s;
+            let settings = Settings { clock_sd_s, correlated, ..Settings::default() };
+            ContactStream::new(Arc::clone(&self.field), settings)
         });
         if self.last_s.replace(row.t_s).is_some_and(|last| row.t_s - last > MAX_LOST_S) {
             stream.interrupt();

@@ -9,8 +9,8 @@ use crate::known_groove::binomial_cdf;
 use crate::known_motion::contact_path::ContactPath;
 use crate::known_motion::posterior::REGION;
 use crate::known_motion::{
-    CorrelatedShare, Disagreement, Episode, EpisodeContact, EpisodeEstimate, Friction, MomentField,
-    MotionRow, MotionUnknown, Region, Settings, bound_mm, estimate_contact, share_correlated,
+    CorrelatedNoise, Disagreement, Episode, EpisodeContact, EpisodeEstimate, Friction, MomentField,
+    MotionRow, MotionUnknown, Region, Settings, bound_mm, estimate_contact,
 };
 use crate::reading::{Moments, Reading};
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
@@ -59,19 +59,12 @@ pub struct TrackedTrajectory {
 }
 
 impl TrackedTrajectory {
-    /// Common unknowns of the calibration: the columns before those of the readings' own correlated noise.
-    fn unknowns(&self) -> usize {
-        self.readings.first().map_or(0, |r| r.shared_nmm.len())
-    }
-
     /// The episode as readings without noise of their own would have it.
     fn noiseless(&self) -> Episode {
         const SHARE: f64 = 1e-6;
         let mut episode = self.episode.clone();
         for row in &mut episode.rows {
             row.noise_nmm2 *= SHARE;
-            row.shared_nmm.truncate(self.unknowns());
-            row.shared_displacement_mm.truncate(self.unknowns());
         }
         episode
     }
@@ -82,8 +75,7 @@ impl TrackedTrajectory {
         let largest = self.episode.rows.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
         largest.map_or([0.0; 2], |r| {
             let along = |h: &[f64; 2]| (h[0] * r.moment_nmm[0] + h[1] * r.moment_nmm[1]) / size(r).max(1e-12);
-            let shared = &r.shared_nmm[..self.unknowns()];
-            [size(r), shared.iter().map(|h| along(h).powi(2)).sum::<f64>().sqrt()]
+            [size(r), r.shared_nmm.iter().map(|h| along(h).powi(2)).sum::<f64>().sqrt()]
         })
     }
 }
@@ -114,6 +106,7 @@ pub struct TrackedSession {
     field: MomentField,
     frame: WireFrame,
     wire: AcceptedWire,
+    settings: Settings,
     /// Trajectories in the session's order.
     pub trajectories: Vec<TrackedTrajectory>,
 }
@@ -160,7 +153,8 @@ pub fn track(
 ) -> Result<TrackedSession, ContactError> {
     let GrooveMotion { wire, changed, readings, correlated } = motion;
     let correlated = correlated
-        .map(|[variance_share, time_constant_s]| CorrelatedShare { variance_share, time_constant_s });
+        .map(|[variance_share, time_constant_s]| CorrelatedNoise::InTime { variance_share, time_constant_s });
+    let settings = Settings { correlated, ..Settings::default() };
     let frame = session_frame(system, &wire, &changed)?;
     let table = |wire: &AcceptedWire| turned_field(wire, &frame, &system.data.moments);
     let field = table(&wire).with_changed(changed.iter().map(table).collect());
@@ -172,7 +166,7 @@ pub fn track(
         |(line, readings): (usize, Vec<ReadingWithMotion>)| -> Result<TrackedTrajectory, ContactError> {
             let trajectory = &system.data.trajectories[line];
             let direction = frame.rotation() * trajectory.direction;
-            let mut rows: Vec<MotionRow> = readings
+            let rows: Vec<MotionRow> = readings
                 .iter()
                 .map(|r| MotionRow {
                     t_s: r.t_s,
@@ -189,15 +183,12 @@ pub fn track(
                     contact_segment: r.contact_segment,
                 })
                 .collect();
-            if let Some(noise) = &correlated {
-                share_correlated(&mut rows, noise);
-            }
             let episode = Episode { rows, push: Some(direction) };
-            let found = estimate_contact(&field, &episode, &Settings::default())?;
+            let found = estimate_contact(&field, &episode, &settings)?;
             Ok(TrackedTrajectory { id: trajectory.id, readings, found, episode })
         };
     let trajectories = by_line.into_par_iter().map(located).collect::<Result<Vec<_>, ContactError>>()?;
-    Ok(TrackedSession { field, frame, wire, trajectories })
+    Ok(TrackedSession { field, frame, wire, settings, trajectories })
 }
 
 impl TrackedSession {
@@ -230,7 +221,7 @@ impl TrackedSession {
         system: &WhiskerSystem,
         groove: impl Fn(usize) -> Option<Vector3<f64>>,
     ) -> Result<Vec<Compared>, ContactError> {
-        let settings = Settings::default();
+        let settings = self.settings;
         let mut all = Vec::new();
         for t in &self.trajectories {
             let Some(posterior) = &t.found.posterior else { continue };

@@ -37,6 +37,7 @@ pub enum Method {
     /// Along a known motion.
     KnownMotion,
     /// By the moments alone.
+    #[serde(rename = "moments-alone")]
     StaticArc,
 }
 
@@ -166,6 +167,7 @@ pub struct ContactDocument {
     /// Degrees of freedom.
     pub dof: f64,
     /// Outliers.
+    #[serde(rename = "gross")]
     pub outlier: usize,
     /// Why moments and motion do not belong together.
     pub disagreement: Option<&'static str>,

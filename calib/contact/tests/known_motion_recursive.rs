@@ -1,4 +1,4 @@
-//! The recursive posterior of known motion on presses by the tracker's own rod (SIMULATED): against the batch, and its regions on the way.
+//! The recursive posterior of known motion on presses by the tracker's own rod (SIMULATED): its regions on the way.
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use nalgebra::{Matrix2, Rotation3, Vector3};
@@ -10,8 +10,7 @@ use std::sync::Arc;
 use wcal_contact::known_motion::contact_path::State;
 use wcal_contact::known_motion::contact_stream::FinishedEpisode;
 use wcal_contact::known_motion::{
-    ContactStream, Episode, Friction, MomentField, MotionRow, PoseNoise, RecursivePosterior,
-    RecursiveSettings, Settings, estimate_contact,
+    ContactStream, CorrelatedNoise, Friction, MomentField, MotionRow, RecursivePosterior, Settings,
 };
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_rod::Rod;
@@ -24,8 +23,8 @@ fn field(friction: Friction) -> MomentField {
     MomentField::new(&Rod::new(&WhiskerSpec::nominal(), 4.0).unwrap(), &MomentAxes::default(), friction)
 }
 
-fn settings(pose: Option<PoseNoise>) -> RecursiveSettings {
-    RecursiveSettings { common: Settings { clock_sd_s: CLOCK_SD_S, ..Settings::default() }, pose }
+fn settings(correlated: Option<CorrelatedNoise>) -> Settings {
+    Settings { clock_sd_s: CLOCK_SD_S, correlated, ..Settings::default() }
 }
 
 fn normal(rng: &mut impl Rng) -> f64 {
@@ -118,121 +117,17 @@ fn loaded(row: &MotionRow) -> bool {
 }
 
 /// The posterior from the first loaded reading on, with a call after every reading.
-fn recursive(
-    field: &MomentField,
-    press: &Press,
-    each: impl FnMut(usize, &RecursivePosterior, f64),
-) -> RecursivePosterior {
-    recursive_by(field, press, settings(None), each)
-}
-
-fn recursive_by(
-    field: &MomentField,
-    press: &Press,
-    settings: RecursiveSettings,
-    mut each: impl FnMut(usize, &RecursivePosterior, f64),
-) -> RecursivePosterior {
+fn recursive(field: &MomentField, press: &Press, mut each: impl FnMut(usize, &RecursivePosterior, f64)) {
     let first = press.rows.iter().position(loaded).unwrap();
     let reference_mm = press.rows[first].moved_mm.dot(&press.push);
     let lead = &press.rows[first.saturating_sub(12)..first];
-    let mut found = RecursivePosterior::start(field, settings, press.push, lead, &press.rows[first]).unwrap();
+    let start = RecursivePosterior::start(field, settings(None), press.push, lead, &press.rows[first]);
+    let mut found = start.unwrap();
     each(0, &found, reference_mm);
     for (k, row) in press.rows[first + 1..].iter().enumerate() {
         found.push(field, row);
         each(k + 1, &found, reference_mm);
     }
-    found
-}
-
-/// Whether the 95 % regions of recursion and batch hold the truth at the end of a press.
-fn held_at_the_end(field: &MomentField, press: &Press) -> [bool; 2] {
-    let mut reference_mm = 0.0;
-    let found = recursive(field, press, |_, _, mm| reference_mm = mm);
-    let truth = State { onset_mm: press.truth.onset_mm - reference_mm, ..press.truth };
-    let episode = Episode { rows: press.rows.clone(), push: Some(press.push) };
-    let batch = estimate_contact(field, &episode, &settings(None).common).unwrap().posterior;
-    [found.posterior().holds(&truth), batch.is_some_and(|p| p.holds(&truth))]
-}
-
-/// Distance of the recursive from the batch place in standard deviations of the batch, ratio of the standard deviations (of arc length), and
-/// chi-squared over that of the batch.
-fn against_batch(field: &MomentField, press: &Press) -> [f64; 3] {
-    // A motion that is stated to be exact: with an error of its own the batch takes the recursion.
-    let mut rows = press.rows.clone();
-    rows.iter_mut().for_each(|r| r.moved_sd_mm = 0.0);
-    let press = &Press { rows, ..*press };
-    let settings = RecursiveSettings { common: Settings::default(), pose: None };
-    let found = recursive_by(field, press, settings, |_, _, _| {});
-    let last = press.rows.last().unwrap();
-    let (place, posterior) = found.place(field, last);
-    let episode = Episode { rows: press.rows.clone(), push: Some(press.push) };
-    let batch = estimate_contact(field, &episode, &settings.common).unwrap();
-    let there = batch.places.last().unwrap();
-    let off = place.place_mm.unwrap() - there.place_mm.unwrap();
-    let sd = |p: &wcal_contact::known_motion::Posterior| {
-        let mean: f64 = p.nodes.iter().map(|n| n.mass * n.state.s_mm).sum();
-        p.nodes.iter().map(|n| n.mass * (n.state.s_mm - mean).powi(2)).sum::<f64>().sqrt()
-    };
-    let distance = there.covariance_mm2.cholesky().map_or(f64::NAN, |c| off.dot(&c.solve(&off)).sqrt());
-    let ratio = sd(&posterior) / sd(batch.posterior.as_ref().unwrap());
-    [distance, ratio, found.innovations().plain / batch.innovations.plain]
-}
-
-#[test]
-fn the_recursive_posterior_ends_where_the_batch_does() {
-    let field = field(Friction::NONE);
-    // A groove that is known to within its mouth, moved exactly: the batch's Laplace approximation holds there.
-    let plain = |scale| Draws { gap: 0.0, motion: 0.0, scale };
-    let all: Vec<[f64; 3]> = (0..40)
-        .into_par_iter()
-        .filter_map(|seed| Some(against_batch(&field, &press(&field, seed, plain(1.0))?)))
-        .collect();
-    let column = |k: usize| {
-        let mut values: Vec<f64> = all.iter().map(|r| r[k]).collect();
-        values.sort_by(f64::total_cmp);
-        let at = |q: f64| values[((values.len() - 1) as f64 * q) as usize];
-        [at(0.0), at(0.5), at(0.9), at(1.0)]
-    };
-    println!(
-        "{} presses: distance in sd {:.3?}, sd ratio {:.3?}, chi2 ratio {:.3?}",
-        all.len(),
-        column(0),
-        column(1),
-        column(2)
-    );
-    assert!(all.len() >= 35);
-    // Both linearise what is not linear, at other points: less than half of what either says it does not know, nine times of ten.
-    assert!(column(0)[2] < 0.5 && column(0)[1] < 0.25, "{:?}", column(0));
-    assert!(column(1)[0] > 0.6 && column(1)[3] < 1.6 && (column(1)[1] - 1.0).abs() < 0.1, "{:?}", column(1));
-    assert!((column(2)[1] - 1.0).abs() < 0.1, "{:?}", column(2));
-    // With gap, clock and motion drawn as well.
-    let held: Vec<[bool; 2]> = (100..300)
-        .into_par_iter()
-        .filter_map(|seed| Some(held_at_the_end(&field, &press(&field, seed, ALL)?)))
-        .collect();
-    let [own, batch] = [0, 1].map(|k| held.iter().filter(|h| h[k]).count());
-    println!(
-        "gap and motion drawn, {} presses: recursive regions hold {own}, the batch's {batch}",
-        held.len()
-    );
-    // Two hundred presses: 95 % less 3 sd of the binomial.
-    assert!(own as f64 > 0.9 * held.len() as f64, "{own} of {}", held.len());
-    // Control: another batch, of moments that are a tenth larger, is somewhere else.
-    let other: Vec<f64> = (0..12)
-        .into_par_iter()
-        .filter_map(|seed| {
-            let (press, scaled) = (press(&field, seed, plain(1.0))?, press(&field, seed, plain(1.1))?);
-            let found = recursive(&field, &scaled, |_, _, _| {});
-            let place = found.place(&field, scaled.rows.last()?).0.place_mm?;
-            let episode = Episode { rows: press.rows, push: Some(press.push) };
-            let batch = estimate_contact(&field, &episode, &settings(None).common).ok()?;
-            let there = batch.places.last()?;
-            let off = place - there.place_mm?;
-            Some(off.dot(&there.covariance_mm2.cholesky()?.solve(&off)).sqrt())
-        })
-        .collect();
-    let far = other.iter().filter(|d| **d > 0.5).count();
-    assert!(far * 4 > other.len() * 3, "{other:?}");
 }
 
 /// Share of presses whose joint region holds the true state, and whose pieces hold the arc length, after so many readings.

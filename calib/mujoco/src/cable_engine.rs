@@ -139,6 +139,30 @@ impl CableEngine {
         mjcf_among(&self.whisker, &options, &around)
     }
 
+    /// Leads the base along legs of constant acceleration; `steps` counts those of all legs, `frame` is the last one's.
+    fn lead(
+        &mut self,
+        legs: &[(f64, f64, f64)],
+        step_s: f64,
+        steps: &mut u64,
+        frame: &mut Frame,
+    ) -> Result<Led, TwinError> {
+        let mut led = Led { taken: 0, toggles: 0, deepest_m: 0.0 };
+        for (until_s, speed, acceleration) in legs {
+            let more = ((until_s / step_s).round() as u64).saturating_sub(*steps);
+            *frame = self.engine.frame(&Request::Lead {
+                speed_m_s: speed * 1e-3,
+                acceleration_m_s2: acceleration * 1e-3,
+                steps: more,
+            })?;
+            *steps += more;
+            led.taken += more;
+            led.toggles += frame.toggles;
+            led.deepest_m = led.deepest_m.max(frame.deepest_m);
+        }
+        Ok(led)
+    }
+
     fn follow(
         &mut self,
         mesh: &Mesh,
@@ -174,18 +198,12 @@ impl CableEngine {
             if travel_mm > plan.max_travel_mm {
                 break;
             }
-            let (mut taken, mut toggles, mut deepest_m) = (0, 0, 0.0_f64);
-            for (until_s, speed, acceleration) in legs(sweep, t_s - 1.0 / plan.rate_hz, t_s) {
-                let more = ((until_s / loaded.step_s).round() as u64).saturating_sub(steps);
-                frame = self.engine.frame(&Request::Lead {
-                    speed_m_s: speed * 1e-3,
-                    acceleration_m_s2: acceleration * 1e-3,
-                    steps: more,
-                })?;
-                steps += more;
-                (taken, toggles) = (taken + more, toggles + frame.toggles);
-                deepest_m = deepest_m.max(frame.deepest_m);
-            }
+            let Led { taken, toggles, deepest_m } = self.lead(
+                &legs(sweep, t_s - 1.0 / plan.rate_hz, t_s),
+                loaded.step_s,
+                &mut steps,
+                &mut frame,
+            )?;
             run.solves += 1;
             run.iterations = steps as usize;
             // A number that is none is no sample.
@@ -242,6 +260,15 @@ impl CableEngine {
         }
         Ok(())
     }
+}
+
+/// What happened while the base was led.
+struct Led {
+    /// Steps taken, and changes of the contacts in them.
+    taken: u64,
+    toggles: u64,
+    /// Deepest penetration, m.
+    deepest_m: f64,
 }
 
 /// Legs of constant acceleration between two times: end (s), speed at the start (mm/s), acceleration (mm/s^2).

@@ -2,8 +2,9 @@
 
 use crate::error::{InputError, SessionError};
 use crate::overflow::{ColumnSource, codes, refuse_most};
+use crate::row::Column;
 use crate::row::Row;
-use crate::table::{Column, Table};
+use crate::table::Table;
 use crate::warning::{SessionWarning, WarningKind};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;

@@ -1,11 +1,17 @@
 //! Cells of one row, typed and checked.
 
 use crate::error::{InputError, not_utf8_table, quote};
-use crate::table::Column;
 use crate::warning::{SessionWarning, WarningKind};
 use csv::ByteRecord;
 use wcal_core::Role;
 use wcal_core::text::LATIN_1;
+
+/// A column that was found.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Column {
+    pub(crate) index: usize,
+    pub(crate) name: &'static str,
+}
 
 /// One row of a table.
 pub(crate) struct Row<'a> {

@@ -1,7 +1,7 @@
 //! CSV tables: streamed, hashed while read, every cell known by file, line and column.
 
 use crate::error::{InputError, SessionError, listed, not_utf8_table, quote};
-use crate::row::Row;
+use crate::row::{Column, Row};
 use crate::units::split_unit;
 use csv::ByteRecord;
 use sha2::{Digest, Sha256};
@@ -22,13 +22,6 @@ const GROUPS: [&str; 3] = ["run", "pose", "day"];
 
 /// Marks the rows of simulated data; a mark is no covariate.
 pub const SIMULATED_COLUMN: &str = "simulated";
-
-/// A column that was found.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Column {
-    pub(crate) index: usize,
-    pub(crate) name: &'static str,
-}
 
 /// An open table positioned after its header.
 pub(crate) struct Table {

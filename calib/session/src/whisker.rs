@@ -2,8 +2,9 @@
 
 use crate::error::{InputError, SessionError};
 use crate::left_out::LeftOut;
+use crate::row::Column;
 use crate::row::{Clock, PointNumbers, Row};
-use crate::table::{Column, Table};
+use crate::table::Table;
 use crate::warning::{SessionWarning, WarningKind};
 use crate::whisker_meta::WAVELENGTH_NM;
 use nalgebra::Vector3;

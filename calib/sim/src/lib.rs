@@ -19,6 +19,7 @@ pub mod read;
 pub mod recipe;
 pub mod rod_engine;
 pub mod shard;
+mod solids;
 pub mod stl;
 pub mod sweep;
 mod test_objects;

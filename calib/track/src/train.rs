@@ -23,7 +23,7 @@ use window::{Window, WindowMaker};
 mod checkpoint;
 mod loss;
 mod sensor_errors;
-mod settings;
+pub(crate) mod settings;
 mod window;
 
 use loss::loss;

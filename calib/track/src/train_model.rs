@@ -22,7 +22,7 @@ use wcal_sim::Mesh;
 use wcal_sim::objects::TEST_NAMES;
 use wcal_sim::read::manifests;
 
-mod cost;
+pub(crate) mod cost;
 mod shifted_sweeps;
 
 use cost::Stopwatch;
@@ -78,31 +78,7 @@ pub fn train_model(
     for folder in std::iter::once(request.sweeps).chain(request.additional.iter().map(PathBuf::as_path)) {
         refuse_test_objects(folder)?;
     }
-    let mut all = sweep_series::read_sweep_series(request.sweeps, &[])?;
-    let eighth = (all.len() / 8).max(1);
-    let counts = [request.held_out.unwrap_or(eighth), request.unseen.unwrap_or(eighth)];
-    let mut objects = Split::draw(all.keys().cloned().collect(), counts, request.settings.seed)?;
-    let sweeps = all.values().flatten().map(|c| c.sweep + 1).max().unwrap_or(0);
-    let sweeps_trained = (sweeps as f64 * TRAINED) as u64;
-    let mut of = |names: &[String]| -> Vec<SweepSeries> {
-        names.iter().flat_map(|name| all.remove(name).unwrap_or_default()).collect()
-    };
-    let (mut all_series, mut held_out) = (of(&objects.training), of(&objects.held_out));
-    match request.split {
-        SplitBy::Objects => all_series.retain(|c| c.sweep < sweeps_trained),
-        SplitBy::Sweeps => {
-            objects.training.append(&mut objects.held_out);
-            objects.training.sort_unstable();
-            all_series.append(&mut held_out);
-            let used = |c: &SweepSeries| SweepUse::draw(&c.object, c.sweep, request.settings.seed);
-            held_out = all_series.iter().filter(|c| used(c) == SweepUse::HeldOut).cloned().collect();
-            all_series.retain(|c| used(c) == SweepUse::Training);
-        }
-    }
-    for folder in request.additional {
-        let more = sweep_series::read_sweep_series(folder, &objects.training)?;
-        all_series.extend(more.into_values().flatten());
-    }
+    let SplitSeries { objects, training: all_series, held_out, sweeps_trained } = SplitSeries::read(request)?;
     let inverse = StaticInverse::new(&request.whisker, network_grid())?;
     let network = preset(request.preset, &inverse, request.settings.filter_frictionless.is_some())?;
     let mut settings = request.settings;
@@ -115,13 +91,12 @@ pub fn train_model(
         .from
         .map(|folder| check_start_model(folder, &network, &objects, sweeps_trained))
         .transpose()?;
-    let (meshes, from_folder) = (request.meshes, request.from);
     let material = TrainingData {
         all_series: &all_series,
         held_out: &held_out,
         inverse: &inverse,
-        meshes,
-        from: from_folder,
+        meshes: request.meshes,
+        from: request.from,
     };
     let checkpoint = request.out.join("checkpoint");
     let reading = stopwatch.elapsed();
@@ -184,6 +159,46 @@ pub fn train_model(
     };
     save(request.out, &tracker.net, &mut card)?;
     Ok(card)
+}
+
+/// The sweeps of a request, divided.
+struct SplitSeries {
+    objects: Split,
+    training: Vec<SweepSeries>,
+    held_out: Vec<SweepSeries>,
+    /// Sweeps of each object that are trained on.
+    sweeps_trained: u64,
+}
+
+impl SplitSeries {
+    fn read(request: &TrainingRequest<'_>) -> Result<Self, TrackError> {
+        let mut all = sweep_series::read_sweep_series(request.sweeps, &[])?;
+        let eighth = (all.len() / 8).max(1);
+        let counts = [request.held_out.unwrap_or(eighth), request.unseen.unwrap_or(eighth)];
+        let mut objects = Split::draw(all.keys().cloned().collect(), counts, request.settings.seed)?;
+        let sweeps = all.values().flatten().map(|c| c.sweep + 1).max().unwrap_or(0);
+        let sweeps_trained = (sweeps as f64 * TRAINED) as u64;
+        let mut of = |names: &[String]| -> Vec<SweepSeries> {
+            names.iter().flat_map(|name| all.remove(name).unwrap_or_default()).collect()
+        };
+        let (mut training, mut held_out) = (of(&objects.training), of(&objects.held_out));
+        match request.split {
+            SplitBy::Objects => training.retain(|c| c.sweep < sweeps_trained),
+            SplitBy::Sweeps => {
+                objects.training.append(&mut objects.held_out);
+                objects.training.sort_unstable();
+                training.append(&mut held_out);
+                let used = |c: &SweepSeries| SweepUse::draw(&c.object, c.sweep, request.settings.seed);
+                held_out = training.iter().filter(|c| used(c) == SweepUse::HeldOut).cloned().collect();
+                training.retain(|c| used(c) == SweepUse::Training);
+            }
+        }
+        for folder in request.additional {
+            let more = sweep_series::read_sweep_series(folder, &objects.training)?;
+            training.extend(more.into_values().flatten());
+        }
+        Ok(Self { objects, training, held_out, sweeps_trained })
+    }
 }
 
 /// Objects that are set aside for tests are not trained on: a number on them must stay one on objects that chose no design.

@@ -9,9 +9,7 @@
 //! Source of the test: Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, 5.4.
 
 use super::contact_path::ContactPath;
-use super::likelihood::Likelihood;
-use super::posterior::{climb, modes};
-use super::{Episode, MomentField, Settings};
+use super::{Episode, MomentField, Settings, recursive};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Innovations are too large below this p-value and above this ratio to the degrees of freedom.
@@ -134,14 +132,9 @@ pub fn scaled(episode: &Episode, factor: f64) -> Episode {
     episode
 }
 
+/// Chi-squared of an episode; none where no contact explains it, or more than a few readings are outliers.
 fn best_chi2(field: &MomentField, episode: &Episode, settings: &Settings) -> Option<f64> {
     let path = ContactPath::new(field, episode)?;
-    let likelihood = Likelihood::new(&path, settings, None).ok()?;
-    let mode = modes(&path, &likelihood, settings).into_iter().next()?;
-    let mode = climb(&path, &likelihood, settings, &mode.state)?;
-    // With what is not known of the motion; a few outliers allowed.
-    let likelihood = Likelihood::new(&path, settings, Some((&mode.state, &likelihood))).ok()?;
-    let outlier = likelihood.regular.iter().filter(|r| **r < 0.5).count();
-    let few = outlier <= (episode.rows.len() / MAX_GROSS).max(1);
-    few.then(|| likelihood.innovation(&path, &mode.state).0)
+    let found = recursive::run(field, path.push, &episode.rows, settings)?.innovations;
+    (found.outlier <= (found.rows / MAX_GROSS).max(1)).then_some(found.plain)
 }

@@ -88,11 +88,6 @@ impl<'a> ContactPath<'a> {
         Self { field, rows: std::slice::from_ref(row), push, motions: vec![motion], onset_mm: [0.0; 2] }
     }
 
-    /// The same motion past another wire.
-    pub(crate) fn past(&self, field: &'a MomentField) -> Self {
-        Self { field, motions: self.motions.clone(), ..*self }
-    }
-
     /// Displacement of a reading from the reference, mm; under rotation that of the wire's middle.
     fn displacement(&self, row: usize) -> Vector3<f64> {
         let middle = self.field.free(0.5 * self.field.length_mm()).0;

@@ -9,14 +9,14 @@
 //! dropped     fewer than 3 of its readings were loaded
 //! ```
 //!
-//! An object that retracts past first touch and returns touches the wire at the same point again, as in the batch
+//! An object that retracts past first touch and returns touches the wire at the same point again, as in a table
 //! ([`super::episodes`]).
 
 use super::check::{self, Disagreement};
 use super::posterior::Region;
 use super::{
-    Episode, EpisodeContact, Innovations, MomentField, MotionRow, RecursivePosterior, RecursiveSettings,
-    check_row,
+    CorrelatedNoise, Episode, EpisodeContact, Innovations, MomentField, MotionRow, RecursivePosterior,
+    Settings, check_row,
 };
 use crate::ContactError;
 use nalgebra::Vector3;
@@ -87,7 +87,7 @@ struct Running {
 /// Locates contacts reading by reading.
 pub struct ContactStream {
     field: Arc<MomentField>,
-    settings: RecursiveSettings,
+    settings: Settings,
     lead: VecDeque<MotionRow>,
     /// Loaded readings whose motion has no direction yet.
     waiting: Vec<MotionRow>,
@@ -102,7 +102,7 @@ pub struct ContactStream {
 impl ContactStream {
     /// Past a wire. Where readings must not wait for the rod, its table is filled before ([`MomentField::fill`]).
     #[must_use]
-    pub fn new(field: Arc<MomentField>, settings: RecursiveSettings) -> Self {
+    pub fn new(field: Arc<MomentField>, settings: Settings) -> Self {
         Self {
             field,
             settings,
@@ -260,11 +260,12 @@ impl ContactStream {
         }
         let innovations = running.posterior.innovations();
         let mut rows = running.kept;
-        if let Some(pose) = self.settings.pose {
-            rows.iter_mut().for_each(|r| r.noise_nmm2 += pose.covariance_nmm2);
+        if let Some(CorrelatedNoise::ByPose { covariance_nmm2, .. }) = self.settings.correlated {
+            rows.iter_mut().for_each(|r| r.noise_nmm2 += covariance_nmm2);
         }
+        let settings = Settings { correlated: None, ..self.settings };
         let episode = Episode { rows, push: Some(running.posterior.push_direction()) };
-        let disagreement = check::disagreement(&self.field, &episode, &self.settings.common, &innovations);
+        let disagreement = check::disagreement(&self.field, &episode, &settings, &innovations);
         self.finished.push(FinishedEpisode {
             number: running.number,
             span_s: [running.from_s, running.last_s],

@@ -15,18 +15,15 @@
 //! Likelihood, with the rod's equilibrium m(P) ([`field`]), K the map's sensitivity and c what all readings of a calibration share:
 //!
 //! `y_k = m(P_k) + H_k c + (dm/dP) (v_k tau + e_k) + n_k`, `c ~ N(0, 1)`, `tau ~ N(0, s_tau^2)`, `e_k ~ N(0, s_d^2)`,
-//! `n_k ~ (1 - eps) N(0, R_k) + eps N(0, 100 R_k) + eps U` (outliers: larger noise, or anything: [`likelihood`]);
+//! n_k regular (covariance R_k, a part of it correlated from reading to reading), noisy, or anything ([`recursive`]);
 //!
 //! one standard deviation of an unknown c_j changes the moments by h_kj (map), the displacement by w_kj (an accepted effect of the stage) and
 //! the rod to another (an accepted effect of rod or friction, m_j): `H_kj = h_kj + (dm/dP) w_kj + m_j(P_k) - m(P_k)`.
-//! where the noise is correlated in time, that part of R_k is in further columns H ([`correlated`]).
-//! c, tau and e_k are integrated out, so that the covariance of an episode is `S = diag(R_k + (s_d^2 + s_p^2) D_k D_k' + s_q^2 |m_k|^2 1) + H H' + T T'`
-//! ([`likelihood`]); s_p (mm) and s_q (relative) are the error of the interpolated m(P), which dominates where the noise is negligible.
+//! The interpolated m(P) has an error of its own, s_p (mm) and s_q (relative), which dominates where the noise is negligible.
 //!
-//! Posterior: `p(theta | y) ~ N(y; m(theta), S) N(g; 0, s_g^2)`, s uniform over the wire, x uniform over the episode; on a grid of s that is refined
-//! where the mass lies, Gaussian in (x, g) at each node (nested Laplace approximation: H. Rue, S. Martino, N. Chopin, J. R. Stat. Soc. B 71
-//! (2009) 319) ([`posterior`]). The 95 % region is that of highest density. Where the motion has an error of its own, readings near first touch
-//! lie on either side of it, and the posterior is that of the recursion over the readings ([`recursive`]).
+//! Posterior: the recursion over the readings on a grid of s, Gaussian in all else ([`recursive`]): s uniform over the wire, x uniform over the
+//! episode, `g ~ N(0, s_g^2)`. The state of an episode is constant, so that the posterior after its last reading is that of all of them. The
+//! 95 % region is that of highest density ([`posterior`]).
 //!
 //! Bound: no estimator has a smaller mean squared error than `J^-1`, `J = G' S^-1 G + diag(12/L_s^2, 12/L_x^2, 1/s_g^2)`, `G = dm/dtheta` at the
 //! truth, L_s and L_x the widths of the uniform priors (Bayesian Cramer-Rao: H. L. Van Trees, "Detection, Estimation, and Modulation Theory"
@@ -36,11 +33,9 @@ pub mod bound;
 pub mod check;
 pub mod contact_path;
 pub mod contact_stream;
-pub mod correlated;
 pub mod episodes;
 pub mod field;
 mod interpolation;
-pub mod likelihood;
 pub mod motion_log;
 pub mod posterior;
 pub mod recursive;
@@ -48,17 +43,20 @@ pub mod recursive;
 pub use bound::bound_mm;
 pub use check::{Disagreement, Innovations};
 pub use contact_stream::{ContactStream, StreamedContact};
-pub use correlated::{CorrelatedShare, share_correlated};
 pub use episodes::episodes;
 pub use field::{Friction, MomentField};
 pub use motion_log::{LogRow, Motion, MotionLog, MotionUnknown};
 pub use posterior::{Posterior, Region};
-pub use recursive::{PoseNoise, RecursivePosterior, RecursiveSettings};
+pub use recursive::{CorrelatedNoise, RecursivePosterior};
 
 use crate::ContactError;
 use contact_path::{ContactPath, loaded};
-use likelihood::Likelihood;
 use nalgebra::{Matrix2, Matrix3, Rotation3, Vector3};
+
+/// Error of an interpolated moment as a share of it (`field`, and tests/known_motion.rs).
+pub(crate) const TABLE_SHARE: f64 = 3e-4;
+/// Error of the interpolated wire where its curvature jumps (straight to arc), in each coordinate, mm.
+pub(crate) const TABLE_MM: f64 = 0.003;
 
 /// One reading with the motion at its time.
 #[derive(Debug, Clone, PartialEq)]
@@ -113,12 +111,21 @@ pub struct Settings {
     pub gross_share: f64,
     /// Readings of an episode that the posterior is made of; of more, every second, third, ...
     pub max_rows: usize,
+    /// Noise of which successive readings share part; none where every reading has noise of its own alone.
+    pub correlated: Option<CorrelatedNoise>,
 }
 
 impl Default for Settings {
     fn default() -> Self {
         // The mouth of a V-groove and the offsets of a bench (0.1-1.5 mm) set the gap; no better is known.
-        Self { gap_sd_mm: 0.5, clock_sd_s: 0.0, first_mm: 8.0, gross_share: 0.01, max_rows: 400 }
+        Self {
+            gap_sd_mm: 0.5,
+            clock_sd_s: 0.0,
+            first_mm: 8.0,
+            gross_share: 0.01,
+            max_rows: 400,
+            correlated: None,
+        }
     }
 }
 
@@ -158,107 +165,60 @@ pub fn estimate_contact(
     settings: &Settings,
 ) -> Result<EpisodeEstimate, ContactError> {
     check_rows(episode)?;
-    let all = episode;
-    let Some(whole) = ContactPath::new(field, episode) else {
-        let found = EpisodeEstimate::nothing(episode);
-        if !episode.rows.iter().any(loaded) {
-            return Ok(found);
-        }
-        // The wire is loaded, but the motion has no direction.
-        let innovations = Innovations::unexplained(episode.rows.len());
-        let disagreement = check::disagreement(field, episode, settings, &innovations);
-        return Ok(EpisodeEstimate { disagreement, innovations, ..found });
+    let Some(path) = ContactPath::new(field, episode) else {
+        // A loaded wire whose motion has no direction is not explained; a free one has no contact.
+        let loaded = episode.rows.iter().any(loaded);
+        return Ok(match loaded {
+            true => EpisodeEstimate::unexplained(field, episode, settings),
+            false => EpisodeEstimate::nothing(episode),
+        });
     };
     let chosen = thinned(episode, settings.max_rows);
-    let rows = chosen.iter().map(|&k| episode.rows[k].clone()).collect();
-    let episode = &Episode { rows, push: Some(whole.push) };
-    let Some(path) = ContactPath::new(field, episode) else {
-        return Ok(EpisodeEstimate::nothing(all));
+    let rows: Vec<MotionRow> = chosen.iter().map(|&k| episode.rows[k].clone()).collect();
+    let whole = recursive::run(field, path.push, &rows, settings);
+    let consistent = |f: &recursive::Finished| f.innovations.consistent();
+    let found = match whole {
+        Some(found) if consistent(&found) => Some(found),
+        // The first loaded reading sets the onset: where it is gross, the others stand out instead (masking).
+        whole => without_first(field, path.push, &rows, settings).filter(consistent).or(whole),
     };
-    let mut likelihood = Likelihood::new(&path, settings, None)?;
-    let Some(first) = posterior::modes(&path, &likelihood, settings).into_iter().next() else {
-        // Loaded readings that no contact on the wire explains.
-        let innovations = Innovations::unexplained(episode.rows.len());
-        let disagreement = check::disagreement(field, episode, settings, &innovations);
-        return Ok(EpisodeEstimate { disagreement, innovations, ..EpisodeEstimate::nothing(all) });
+    let Some(found) = found else {
+        return Ok(EpisodeEstimate::unexplained(field, episode, settings));
     };
-    let (plain, dof) = likelihood.innovation(&path, &first.state);
-    let mut best = first;
-    if check::too_large(plain, dof)
-        && let Some((without, mode)) = without_one(&path, settings)?
-    {
-        (likelihood, best) = (without, mode);
-    }
-    // The covariance depends on the state (clock, noise of the motion, outliers): linearised at the mode, iterated (reweighting).
-    for _ in 0..3 {
-        likelihood = Likelihood::new(&path, settings, Some((&best.state, &likelihood)))?;
-        match posterior::climb(&path, &likelihood, settings, &best.state) {
-            Some(next) => best = next,
-            None => break,
-        }
-    }
-    let posterior = match exact(&episode.rows, settings) {
-        true => Posterior::new(&path, &likelihood, settings),
-        false => recursive::of_episode(field, path.push, &episode.rows, settings)
-            .unwrap_or_else(|| Posterior::new(&path, &likelihood, settings)),
-    };
-    let (robust, _) = likelihood.innovation(&path, &best.state);
-    let outlier = likelihood.regular.iter().filter(|r| **r < 0.5).count();
-    let innovations = Innovations { plain, robust, dof, outlier, rows: episode.rows.len() };
-    let disagreement = check::disagreement(field, episode, settings, &innovations);
-    let is_gross = |k: usize| chosen.binary_search(&k).is_ok_and(|n| likelihood.regular[n] < 0.5);
+    let thin = Episode { rows, push: Some(path.push) };
+    let disagreement = check::disagreement(field, &thin, settings, &found.innovations);
+    let outlier = |k: usize| chosen.binary_search(&k).is_ok_and(|n| found.outliers[n]);
+    let place = |k| EpisodeContact { outlier: outlier(k), ..found.posterior.place(&path, k) };
     Ok(EpisodeEstimate {
-        places: posterior.places(&whole, is_gross),
-        posterior: Some(posterior),
+        places: (0..episode.rows.len()).map(place).collect(),
+        posterior: Some(found.posterior),
         disagreement,
-        innovations,
+        innovations: found.innovations,
     })
 }
 
-/// Whether the motion has no error of its own. Where it has one, readings near first touch may lie on either side of it: the linearised
-/// likelihood takes one side and states too small a region, the recursion weighs both.
-fn exact(rows: &[MotionRow], settings: &Settings) -> bool {
-    settings.clock_sd_s == 0.0 && rows.iter().all(|r| r.moved_sd_mm == 0.0)
-}
-
-/// Readings of an episode that are left out in turn, and readings from which on one outlier has little weight.
-const MAX_LEFT_OUT: usize = 6;
-const MAX_SEARCHED: usize = 60;
-
-/// The loaded readings that stand out most from the mean of their neighbours, first the farthest: along a smooth motion moments are smooth.
-fn standing_out(rows: &[MotionRow]) -> Vec<usize> {
-    let loaded: Vec<usize> = (0..rows.len()).filter(|&k| !rows[k].free).collect();
-    let off = |n: usize| {
-        let at = |n: usize| nalgebra::Vector2::from(rows[loaded[n.min(loaded.len() - 1)]].moment_nmm);
-        (at(n) - 0.5 * (at(n.saturating_sub(1)) + at(n + 1))).norm()
-    };
-    let mut order: Vec<(f64, usize)> = (0..loaded.len()).map(|n| (off(n), loaded[n])).collect();
-    order.sort_by(|a, b| b.0.total_cmp(&a.0));
-    order.into_iter().map(|o| o.1).take(MAX_LEFT_OUT).collect()
-}
-
-/// The mode without the one reading whose absence makes the others consistent; none where there is no such reading. A gross reading draws the
-/// least-squares mode away, from where its residual need not stand out (masking).
-fn without_one(
-    path: &ContactPath<'_>,
+/// An episode without its first loaded reading, as an outlier; none where none may be.
+fn without_first(
+    field: &MomentField,
+    push: Vector3<f64>,
+    rows: &[MotionRow],
     settings: &Settings,
-) -> Result<Option<(Likelihood, posterior::Mode)>, ContactError> {
-    if path.rows.len() > MAX_SEARCHED || settings.gross_share <= 0.0 {
-        return Ok(None);
-    }
-    let mut best: Option<(f64, Likelihood, posterior::Mode)> = None;
-    for k in standing_out(path.rows) {
-        let likelihood = Likelihood::without(path, settings, k)?;
-        let Some(mode) = posterior::modes(path, &likelihood, settings).into_iter().next() else { continue };
-        let (chi2, dof) = likelihood.innovation(path, &mode.state);
-        if !check::too_large(chi2, dof - 2.0) && best.as_ref().is_none_or(|b| chi2 < b.0) {
-            best = Some((chi2, likelihood, mode));
-        }
-    }
-    Ok(best.map(|(_, likelihood, mode)| (likelihood, mode)))
+) -> Option<recursive::Finished> {
+    let first = rows.iter().position(loaded).filter(|_| settings.gross_share > 0.0)?;
+    let others = [&rows[..first], &rows[first + 1..]].concat();
+    let mut found = recursive::run(field, push, &others, settings)?;
+    found.outliers.insert(first, true);
+    Some(found)
 }
 
 impl EpisodeEstimate {
+    /// Loaded readings that no contact on the wire explains.
+    fn unexplained(field: &MomentField, episode: &Episode, settings: &Settings) -> Self {
+        let innovations = Innovations::unexplained(episode.rows.len());
+        let disagreement = check::disagreement(field, episode, settings, &innovations);
+        Self { disagreement, innovations, ..Self::nothing(episode) }
+    }
+
     fn nothing(episode: &Episode) -> Self {
         let place =
             EpisodeContact { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, outlier: false };

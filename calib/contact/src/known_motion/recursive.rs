@@ -5,11 +5,13 @@
 //! with P_k and m(P) as in the parent module, D = dm/dP and B the covariance of the pose's noise:
 //!
 //! ```text
-//! y_k = m(P_k) + sum_j H_kj c_j + D v_k tau + b_k + n_k,    H_kj = h_kj + D w_kj + m_j(P_k) - m(P_k)
-//! A   = dy/dz = [-D Q_k u,  D Q_k n,  H_k1 ..,  D v_k,  1]              zero but for h and 1 while the wire is free
-//! b_k = rho b_(k-1) + e_k,   rho = exp(-|d_k - d_(k-1)| / l),   cov e_k = (1 - rho^2) B
-//! S   = A C A' + R_k,   z^ += C A' S^-1 i,   C -= C A' S^-1 A C,   i = y_k - y(z^)
-//! w_s ~ w_s [(1 - eps) N(i; 0, S) + eps N(i; 0, S + 99 R_k)]
+//! y_k = m(P_k) + sum_j H_kj c_j + D v_k tau + F_k b_k + n_k,    H_kj = h_kj + D w_kj + m_j(P_k) - m(P_k)
+//! A   = dy/dz = [-D Q_k u,  D Q_k n,  H_k1 ..,  D v_k,  F_k]            zero but for h and F while the wire is free
+//! b_k = rho b_(k-1) + e_k,   cov e_k = (1 - rho^2) B
+//!       by pose: rho = exp(-|d_k - d_(k-1)| / l), F_k = 1;   in time: rho = exp(-|t_k - t_(k-1)| / tau), F_k F_k' = q R_k, B = 1
+//! S   = A C A' + R_k,   z^ += C A' S_w^-1 i,   C -= C A' S_w^-1 A C,   i = y_k - y(z^),   S_w = A C A' + R_k / w
+//! w_s ~ w_s [p0 + p1 + p2],   p0 = (1 - eps) N(i; 0, S),  p1 = eps N(i; 0, S + 99 R_k),  p2 = eps / (pi M^2),  M = 3 N mm
+//! w   = (p0 + p1 / 100) / (p0 + p1 + p2)                                expected inverse variance: regular, noisy, or anything
 //! chi2 = sum_k i' S^-1 i ~ chi-squared(2 n - 3)                         at the node of most mass
 //! ```
 //!
@@ -23,16 +25,20 @@
 //!
 //! Sources: R. S. Bucy, K. D. Senne, Automatica 7 (1971) 287 (point masses); A. Doucet, N. de Freitas, K. Murphy, S. Russell, UAI 2000, 176
 //! (Rao-Blackwellised filters); B. M. Bell, F. W. Cathey, IEEE Trans. Automat. Contr. 38 (1993) 294 (iterated update as Gauss-Newton step);
-//! decomposition of the likelihood into innovations: F. C. Schweppe, IEEE Trans. Inf. Theory 11 (1965) 61.
+//! decomposition of the likelihood into innovations: F. C. Schweppe, IEEE Trans. Inf. Theory 11 (1965) 61; correlated noise as a state: A. E.
+//! Bryson, L. J. Henrikson, J. Spacecr. Rockets 5 (1968) 1327; expected weights of outliers: A. P. Dempster, N. M. Laird, D. B. Rubin, J. R. Stat.
+//! Soc. B 39 (1977) 1, the uniform part: D. W. Hogg, J. Bovy, D. Lang, arXiv:1008.4686, 3.
 
 mod node;
 
 use super::contact_path::{BEFORE_MM, ContactPath, loaded};
-use super::posterior::{self, SCAN_MM};
+use super::posterior;
 use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings};
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use node::{NodeFilter, Reading};
 
+/// First grid along the wire, mm.
+const SCAN_MM: f64 = 1.0;
 /// Largest number of nodes: what bounds the time of a reading.
 pub const MAX_NODES: usize = 56;
 /// Halvings of the grid at one reading.
@@ -46,43 +52,83 @@ const NO_MASS: f64 = 14.0;
 /// Neighbouring nodes differ by no more than this in their logarithm where there is mass.
 const MAX_STEP_LN: f64 = 1.0;
 
-/// Noise of which readings at poses near each other share one draw.
+/// Noise of which successive readings share part.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PoseNoise {
-    /// Covariance, (N mm)^2.
-    pub covariance_nmm2: Matrix2<f64>,
-    /// Displacement over which a draw is forgotten (correlation `exp(-d / length)`), mm.
-    pub length_mm: f64,
+pub enum CorrelatedNoise {
+    /// Noise from pose to pose, beside each reading's own: readings at poses near each other share one draw.
+    ByPose {
+        /// Covariance, (N mm)^2.
+        covariance_nmm2: Matrix2<f64>,
+        /// Displacement over which a draw is forgotten (correlation `exp(-d / length)`), mm.
+        length_mm: f64,
+    },
+    /// A share of each reading's noise is a first-order Gauss-Markov process.
+    InTime {
+        /// Share of the noise variance, 0 to 1.
+        variance_share: f64,
+        /// Time constant, s.
+        time_constant_s: f64,
+    },
 }
 
-/// What is assumed where nothing is known.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct RecursiveSettings {
-    /// As for the batch.
-    pub common: Settings,
-    /// Noise from pose to pose; none where every reading has noise of its own alone.
-    pub pose: Option<PoseNoise>,
+impl CorrelatedNoise {
+    /// F_k: what one unit of the draw makes of a reading's moments; none where the noise is no covariance.
+    fn factor(&self, row: &MotionRow) -> Option<Matrix2<f64>> {
+        match self {
+            Self::ByPose { .. } => Some(Matrix2::identity()),
+            Self::InTime { variance_share, .. } => {
+                Some(row.noise_nmm2.cholesky()?.l() * variance_share.sqrt())
+            }
+        }
+    }
+
+    /// B: covariance of a draw.
+    fn draw(&self) -> Matrix2<f64> {
+        match self {
+            Self::ByPose { covariance_nmm2, .. } => *covariance_nmm2,
+            Self::InTime { .. } => Matrix2::identity(),
+        }
+    }
+
+    /// A reading's noise beside it, (N mm)^2.
+    fn own_nmm2(&self, row: &MotionRow) -> Matrix2<f64> {
+        match self {
+            Self::ByPose { .. } => row.noise_nmm2,
+            Self::InTime { variance_share, .. } => row.noise_nmm2 * (1.0 - variance_share),
+        }
+    }
+
+    /// Correlation of two successive readings.
+    fn correlation(&self, moved_mm: f64, passed_s: f64) -> f64 {
+        match self {
+            Self::ByPose { length_mm, .. } => (-moved_mm / length_mm.max(1e-9)).exp(),
+            Self::InTime { time_constant_s, .. } => (-passed_s.abs() / time_constant_s.max(1e-9)).exp(),
+        }
+    }
 }
 
-impl RecursiveSettings {
+impl Settings {
     /// Whether a reading is loaded beyond its noise, the pose's included.
-    #[must_use]
-    pub fn is_loaded(&self, row: &MotionRow) -> bool {
-        let Some(pose) = self.pose else { return loaded(row) };
-        loaded(&MotionRow { noise_nmm2: row.noise_nmm2 + pose.covariance_nmm2, ..row.clone() })
+    pub(crate) fn is_loaded(&self, row: &MotionRow) -> bool {
+        let Some(CorrelatedNoise::ByPose { covariance_nmm2, .. }) = self.correlated else {
+            return loaded(row);
+        };
+        loaded(&MotionRow { noise_nmm2: row.noise_nmm2 + covariance_nmm2, ..row.clone() })
     }
 }
 
 /// Posterior of an episode so far.
 #[derive(Debug, Clone)]
 pub struct RecursivePosterior {
-    settings: RecursiveSettings,
+    settings: Settings,
     /// Unit vector of the push.
     push: Vector3<f64>,
     /// The first loaded reading, from which displacements count.
     reference: MotionRow,
-    /// Place of the wire's middle, carried along: at the reading before.
+    /// The reading before: place of the wire's middle, carried along, its time, and the visit it is of.
     middle_mm: Vector3<f64>,
+    last_s: f64,
+    segment: u32,
     nodes: Vec<NodeFilter>,
     readings: usize,
 }
@@ -100,20 +146,35 @@ fn middle(field: &MomentField, (turn, displacement): &(Rotation3<f64>, Vector3<f
 /// Free readings before a contact that bound its onset.
 const LEAD: usize = 25;
 
-/// The posterior at the end of an episode: its state is constant, so that the last posterior is that of all readings. None without a loaded
-/// reading, or where the push runs along the whole wire.
-pub(super) fn of_episode(
+/// An episode after all of its readings: its state is constant, so that the last posterior is that of all of them.
+pub(super) struct Finished {
+    pub posterior: Posterior,
+    pub innovations: Innovations,
+    /// Whether each reading was treated as an outlier when it came.
+    pub outliers: Vec<bool>,
+}
+
+/// Takes all readings of an episode. None without a loaded reading, where the push runs along the whole wire, or where no contact explains
+/// the readings.
+pub(super) fn run(
     field: &MomentField,
     push: Vector3<f64>,
     rows: &[MotionRow],
     settings: &Settings,
-) -> Option<Posterior> {
-    let first = rows.iter().position(loaded)?;
+) -> Option<Finished> {
+    let first = rows.iter().position(|r| settings.is_loaded(r))?;
     let lead = &rows[first.saturating_sub(LEAD)..first];
-    let settings = RecursiveSettings { common: *settings, pose: None };
-    let mut own = RecursivePosterior::start(field, settings, push, lead, &rows[first])?;
-    rows[first + 1..].iter().for_each(|row| own.push(field, row));
-    Some(own.posterior()).filter(|p| !p.nodes.is_empty())
+    let mut own = RecursivePosterior::start(field, *settings, push, lead, &rows[first])?;
+    let mut outliers = vec![false; first + 1];
+    for row in &rows[first + 1..] {
+        own.push(field, row);
+        outliers.push(own.best()?.last_outlier > 0.5);
+    }
+    (!own.nodes.is_empty()).then(|| Finished {
+        posterior: own.posterior(),
+        innovations: own.innovations(),
+        outliers,
+    })
 }
 
 impl RecursivePosterior {
@@ -121,7 +182,7 @@ impl RecursivePosterior {
     #[must_use]
     pub fn start(
         field: &MomentField,
-        settings: RecursiveSettings,
+        settings: Settings,
         push: Vector3<f64>,
         lead: &[MotionRow],
         first: &MotionRow,
@@ -129,26 +190,39 @@ impl RecursivePosterior {
         let push = push.try_normalize(1e-9)?;
         let still = (Rotation3::identity(), Vector3::zeros());
         let middle_mm = middle(field, &still);
-        let mut own =
-            Self { settings, push, reference: first.clone(), middle_mm, nodes: Vec::new(), readings: 1 };
+        let mut own = Self {
+            settings,
+            push,
+            reference: first.clone(),
+            middle_mm,
+            last_s: first.t_s,
+            segment: first.contact_segment,
+            nodes: Vec::new(),
+            readings: 1,
+        };
         let lowest = lead.iter().map(|row| own.along_mm(field, row)).fold(0.0, f64::min);
-        let at_first = own.reading(field, first, 0.0);
-        let length = field.length_mm() - settings.common.first_mm;
+        let at_first = own.reading(field, first, 0.0, 0.0);
+        let length = field.length_mm() - settings.first_mm;
         let count = (length / SCAN_MM).ceil().max(1.0) as usize;
         let mut nodes = Vec::with_capacity(count + 1);
         for k in 0..=count {
-            let s_mm = settings.common.first_mm + length * k as f64 / count as f64;
+            let s_mm = settings.first_mm + length * k as f64 / count as f64;
             let Some(mut node) = NodeFilter::new(&at_first, s_mm, BEFORE_MM - lowest) else { continue };
             node.start(&at_first);
-            // Backwards in time from first touch: the state is constant, and the pose's noise is reversible.
-            let mut before = middle_mm;
+            // Backwards in time from first touch: the state is constant, and the correlated noise is reversible.
+            if settings.correlated.is_some() {
+                node.keep_correlated();
+            }
+            let mut before = (middle_mm, first.t_s);
             for row in lead.iter().rev() {
                 let here = middle(field, &motion_since(first, row));
-                let reading = own.reading(field, row, (here - before).norm());
+                let reading = own.reading(field, row, (here - before.0).norm(), before.1 - row.t_s);
                 node.update(&reading);
-                before = here;
+                before = (here, row.t_s);
             }
-            node.renew_pose(&settings);
+            if settings.correlated.is_some() {
+                node.resume_correlated();
+            }
             if node.ln.is_finite() {
                 nodes.push(node);
             }
@@ -162,7 +236,7 @@ impl RecursivePosterior {
     /// Takes the next reading.
     pub fn push(&mut self, field: &MomentField, row: &MotionRow) {
         let middle_mm = middle(field, &motion_since(&self.reference, row));
-        let reading = self.reading(field, row, (middle_mm - self.middle_mm).norm());
+        let reading = self.reading(field, row, (middle_mm - self.middle_mm).norm(), row.t_s - self.last_s);
         let mut before: Vec<&NodeFilter> = self.nodes.iter().collect();
         let take = |node: &NodeFilter| {
             let mut node = node.clone();
@@ -205,7 +279,7 @@ impl RecursivePosterior {
             before = between.iter().collect();
         }
         self.nodes = after;
-        self.middle_mm = middle_mm;
+        (self.middle_mm, self.last_s, self.segment) = (middle_mm, row.t_s, row.contact_segment);
         self.readings += 1;
         self.normalise();
     }
@@ -267,9 +341,15 @@ impl RecursivePosterior {
         self.nodes.iter().max_by(|a, b| a.ln.total_cmp(&b.ln))
     }
 
-    fn reading<'a>(&'a self, field: &'a MomentField, row: &'a MotionRow, moved_mm: f64) -> Reading<'a> {
+    /// A reading `moved_mm` and `passed_s` from the one before.
+    fn reading<'a>(
+        &'a self,
+        field: &'a MomentField,
+        row: &'a MotionRow,
+        moved_mm: f64,
+        passed_s: f64,
+    ) -> Reading<'a> {
         let (turn, displacement_mm) = motion_since(&self.reference, row);
-        let correlation = self.settings.pose.map_or(0.0, |p| (-moved_mm / p.length_mm.max(1e-9)).exp());
         Reading {
             field,
             settings: &self.settings,
@@ -277,8 +357,9 @@ impl RecursivePosterior {
             row,
             turn,
             displacement_mm,
-            correlation,
+            correlation: self.settings.correlated.map_or(0.0, |c| c.correlation(moved_mm, passed_s)),
             loaded: self.settings.is_loaded(row),
+            touched_anew: row.contact_segment != self.segment,
         }
     }
 

@@ -92,7 +92,7 @@ pub struct NextMeasurement {
     pub expected_power: f64,
 }
 
-/// What this data could have shown of one effect.
+/// Detectability of one effect: the smallest size that these data show.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Detectable {
     /// Effect identifier.

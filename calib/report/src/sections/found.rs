@@ -122,7 +122,7 @@ fn ambiguity(input: &ReportInput) -> String {
         sets.iter().map(|set| format!("<li><code>{}</code></li>", escape(&name(set)))).collect();
     let lead = match (input.verify.verdict, sets.len()) {
         (_, 1) => "Only one survives:",
-        (Verdict::Ambiguous, _) => "The data cannot decide between these explanations, best first:",
+        (Verdict::Ambiguous, _) => "Competing explanations, best first:",
         _ => "Explanations that survive, best first:",
     };
     format!("<div class=\"card\"><h5>Competing explanations</h5><p>{lead}</p><ol>{rows}</ol></div>")

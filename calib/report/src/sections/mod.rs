@@ -52,7 +52,7 @@ pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
     sections.push(Section { id: "evidence", title: "Evidence", body: evidence::body(input) });
     sections.push(Section {
         id: "detectable",
-        title: "What this data could have shown",
+        title: "Detectability: smallest effects found with 90 % power",
         body: evidence::detectable(input),
     });
     sections.push(Section { id: "noise", title: "Noise floor and remarks", body: noise::body(input) });

@@ -9,7 +9,7 @@ pub(crate) fn words(verdict: Verdict) -> (&'static str, &'static str, &'static s
         Verdict::Effect => ("named", "Effect found", "one class of effects explains what was left"),
         Verdict::Ambiguous => ("open", "Ambiguous", "explanations of more than one class survive"),
         Verdict::UnknownEffect => {
-            ("open", "Unknown effect", "something is left that nothing in the catalogue explains")
+            ("open", "Unknown effect", "a residual remains that no catalogued effect explains")
         }
         Verdict::TwinFault => {
             ("named", "Twin fault", "labels of the twin were faulty and have been repaired")

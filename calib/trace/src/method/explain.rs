@@ -1,6 +1,6 @@
 //! Noise and explanation, each judged under the other: from the baseline fit to adequacy (docs/src/method.md).
 //!
-//! Noise that is correlated in time and an effect that is smooth in time take each other's place: whoever is asked first takes all. So the
+//! Noise that is correlated in time and an effect that is smooth in time take each other's place: the term fitted first absorbs the signal. So the
 //! search starts with independent readings; what it finds must then hold against the noise model that would take its place:
 //!
 //! ```text
@@ -187,7 +187,7 @@ pub fn explain(system: &dyn MeasurementModel, options: &Options) -> Option<Expla
     let mut weights = Weights::independent(judge.inputs.own(0.0));
     let base = declared(system, &weights, options.seed)?;
     let declared_noise = judge.noise(&base, &[])?.0;
-    let mut options = *options;
+    let mut options = options.clone();
     let mut found = search(system, &weights, &options)?;
     if fits_exactly(system, &base) {
         found.best = base;

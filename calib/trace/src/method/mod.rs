@@ -17,7 +17,6 @@ pub mod noise;
 pub mod omnibus;
 pub mod options;
 pub mod outliers;
-pub mod progress;
 pub mod range_check;
 mod refine;
 pub mod search;

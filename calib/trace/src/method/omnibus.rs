@@ -172,8 +172,11 @@ fn generic(
         .filter(|a| (a.signature.dimension() as f64) < 0.5 * fit.dof)
         .collect();
     let plain: Vec<&Signature> = signatures.iter().map(|a| &a.signature).collect();
-    let family =
-        MinPDistribution::simulate(&plain, fit.dof, &Options { seed: options.seed ^ 0x5eed, ..*options });
+    let family = MinPDistribution::simulate(
+        &plain,
+        fit.dof,
+        &Options { seed: options.seed ^ 0x5eed, ..options.clone() },
+    );
     let mut scores: Vec<CovariateScore> = Vec::new();
     for a in &signatures {
         let gain = a.signature.gain(residual);

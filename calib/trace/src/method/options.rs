@@ -1,7 +1,33 @@
 //! Settings of the search.
 
+use std::fmt;
+use std::sync::Arc;
+
+/// Who waits for a search: hears the stage it is in, and the part of it that is done.
+#[derive(Clone, Default)]
+pub struct ProgressListener(Option<Arc<dyn Fn(&str, f64) + Send + Sync>>);
+
+impl ProgressListener {
+    /// Calls `heard` with the name of the stage and the part that is done, 0 to 1.
+    pub fn new(heard: impl Fn(&str, f64) + Send + Sync + 'static) -> Self {
+        Self(Some(Arc::new(heard)))
+    }
+
+    pub(crate) fn at(&self, stage: &str, done: f64) {
+        if let Some(heard) = &self.0 {
+            heard(stage, done);
+        }
+    }
+}
+
+impl fmt::Debug for ProgressListener {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ProgressListener({})", self.0.is_some())
+    }
+}
+
 /// Settings of the loop.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Options {
     /// Seed of every draw.
     pub seed: u64,
@@ -11,10 +37,12 @@ pub struct Options {
     pub largest: usize,
     /// Degrees of freedom of the noise's tails (Student's t) where they are heavier than a Gaussian's.
     pub tails_dof: Option<f64>,
+    /// Hears how far the search is.
+    pub progress: ProgressListener,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { seed: 1, draws: 2000, largest: 3, tails_dof: None }
+        Self { seed: 1, draws: 2000, largest: 3, tails_dof: None, progress: ProgressListener::default() }
     }
 }

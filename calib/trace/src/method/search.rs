@@ -8,7 +8,6 @@ use super::min_p::f_test;
 use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
 use super::options::Options;
 use super::outliers::{initial_outliers, reject_outliers};
-use super::progress::progress;
 use super::refine::{refine_level, refit, settle};
 use super::signature::{Signature, nuisance, signatures_of_catalogue};
 use super::subsets::best_subsets;
@@ -131,7 +130,7 @@ fn step_p(from: &Hypothesis, to: &Hypothesis, base: &Fit, test: &OmnibusTest) ->
 
 /// Runs the search.
 pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Options) -> Option<SearchResult> {
-    progress("testing the declared model", 0.0);
+    options.progress.at("testing the declared model", 0.0);
     let outliers = outlier_index(system);
     let base = declared(system, weights, options.seed)?;
     let first_test = omnibus_test(system, &base.fit, &base.weights, options);
@@ -144,7 +143,7 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
     let mut not_converged: Vec<Vec<String>> = Vec::new();
     let mut not_identified: Vec<NotIdentified> = Vec::new();
     for size in 1..=options.largest {
-        progress("searching for effects", (size - 1) as f64 / options.largest as f64);
+        options.progress.at("searching for effects", (size - 1) as f64 / options.largest as f64);
         if !level_test.rejected() && !single_readings(system, &best) {
             break;
         }
@@ -204,7 +203,7 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         .iter()
         .enumerate()
         .map(|(k, h)| {
-            progress("comparing explanations", k as f64 / final_level.len() as f64);
+            options.progress.at("comparing explanations", k as f64 / final_level.len() as f64);
             if k == 0 { 1.0 } else { cox_test(&best, h, variance, options.draws, options.seed + k as u64) }
         })
         .collect();
@@ -333,7 +332,7 @@ fn rerun_omnibus(
     round: u64,
 ) -> OmnibusTest {
     let seed = options.seed.wrapping_add(round.wrapping_mul(0x9e37));
-    omnibus_test(system, &h.fit, &h.weights, &Options { seed, ..*options })
+    omnibus_test(system, &h.fit, &h.weights, &Options { seed, ..options.clone() })
 }
 
 /// The declared model, fitted without readings that stand far out of it.

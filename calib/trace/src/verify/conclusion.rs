@@ -78,7 +78,7 @@ impl Conclusion {
     pub fn withdrawn(&mut self, base: &Hypothesis, noise: Option<NamedEffect>, errors: &str, left: bool) {
         let names: Vec<String> = self.effects.iter().map(|e| e.id.clone()).collect();
         let found = format!(
-            "The fitted readings asked for {}, but with it the held-out error {errors}: it is not accepted.",
+            "The fitted readings support {}, but the held-out error {errors} with it: not accepted.",
             join(&names)
         );
         self.alternatives = noise.iter().map(|e| vec![e.id.clone()]).collect();
@@ -86,7 +86,7 @@ impl Conclusion {
         self.rivals = Vec::new();
         self.accepted = base.clone();
         (self.verdict, self.reason) = if left {
-            let left = "Something is left that nothing in the catalogue explains.";
+            let left = "A residual remains that no catalogued effect explains.";
             (Verdict::UnknownEffect, format!("{found} {left}"))
         } else if self.effects.is_empty() {
             let enough = "The declared model and the noise explain the readings.";
@@ -223,7 +223,7 @@ fn unknown_reason(unknown: Option<&UnknownEffect>, beyond: &[NamedEffect]) -> St
     let names: Vec<String> = beyond.iter().map(|e| e.id.clone()).collect();
     let beyond = if names.is_empty() { String::new() } else { format!(" beyond {}", join(&names)) };
     let follows = unknown.map_or(String::new(), |u| format!("; it follows {} ({})", u.driver, u.shape));
-    format!("Something{beyond} is left that nothing in the catalogue explains{follows}.")
+    format!("A residual{beyond} remains that no catalogued effect explains{follows}.")
 }
 
 /// Applies the order of docs/src/formats.md: ambiguous, unknown-effect, effect, twin-fault, adequate.
@@ -253,10 +253,10 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
         vec![with_noise(Vec::new())]
     };
     alternatives.retain(|a| !a.is_empty());
-    let mut told: Vec<Vec<String>> = Vec::new();
+    let mut listed: Vec<Vec<String>> = Vec::new();
     alternatives.retain(|a| {
-        let new = !told.contains(a);
-        told.push(a.clone());
+        let new = !listed.contains(a);
+        listed.push(a.clone());
         new
     });
     let mut c = Conclusion {
@@ -275,7 +275,8 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
     if !c.rivals.is_empty() && lack.is_none() {
         c.verdict = Verdict::Ambiguous;
         let names: Vec<String> = c.alternatives.iter().map(|a| a.join(" with ")).collect();
-        c.reason = format!("The data ask for an effect but cannot decide between {}.", names.join("; "));
+        c.reason =
+            format!("The data show an unmodelled effect; these explanations remain: {}.", names.join("; "));
     } else if left || lack.is_some() {
         c.verdict = Verdict::UnknownEffect;
         let test = if something { &found.last_test } else { &found.first_test };
@@ -294,11 +295,12 @@ pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[Twin
         c.verdict = Verdict::TwinFault;
         let count: usize = faults.iter().map(|f| f.points.len()).sum();
         c.reason = format!(
-            "{count} labels of the outside twin are faulty; with them repaired nothing else is found."
+            "{count} labels of the outside twin are faulty; after their repair the model is adequate."
         );
     } else {
         let p = found.first_test.p_value(p_lack_of_fit);
-        c.reason = format!("Nothing beyond noise is left by the declared model (omnibus p = {p:.2}).");
+        c.reason =
+            format!("The declared model explains the readings to within the noise (omnibus p = {p:.2}).");
     }
     c
 }

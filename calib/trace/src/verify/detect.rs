@@ -1,4 +1,4 @@
-//! What this data could have shown: the smallest size of every effect found with 90 % probability.
+//! Detectability: the smallest size of every effect that is found with 90 % power.
 //!
 //! ```text
 //! |P s| a / sigma >= sqrt(chi2_{d, 1 - level}) + z_0.9      s: signature for a unit amplitude, P: off nuisances and what is accepted
@@ -75,7 +75,7 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
             let only = s.alone.is_some() && by_readings.is_none();
             let pictures = if only { "; only the pictures show it" } else { "" };
             let why = format!(
-                "law {law}; {left:.0} % of its signature is left beside {} and what is accepted{pictures}",
+                "law {law}; {left:.0} % of its signature is independent of {} and of the accepted effects{pictures}",
                 model.nuisances()
             );
             let row = entry("testable", Some(s.size), s.unit, why);
@@ -83,7 +83,7 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
         }
         None => {
             let why = format!(
-                "{} and what is accepted take up its whole signature: it cannot do harm here nor be named",
+                "not identifiable: fully absorbed by {} and the accepted effects, so that it neither harms nor shows here",
                 model.nuisances()
             );
             entry("absorbed", None, unit, why)

@@ -2,7 +2,7 @@
 
 use super::conclusion::Conclusion;
 use super::error_summary::{coverage95, summarise};
-use super::gp_baseline::rival;
+use super::gp_baseline::gp_baseline;
 use super::session_model::{Folds, HeldOut, Quantity, SessionModel};
 use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::{Hypothesis, SearchResult};

@@ -1,4 +1,4 @@
-//! Causal low-pass with linear phase: its lag is one number, so an answer can be stamped with the time that it is true of.
+//! Causal low-pass with linear phase: its lag is one number, so an answer carries its effective time.
 //!
 //! ```text
 //! y(t - lag) = sum_k h_k x(t - k / f),   h_k ~ sinc(f_out / f (k - n)) (1 + cos(pi (k - n) / (n + 1))) / 2,   sum h = 1,   lag = n / f
@@ -91,7 +91,7 @@ impl<const N: usize> LowPass<N> {
         self.kept.clear();
     }
 
-    /// The answer and the time that it is true of; `None` until the filter is full.
+    /// The answer and its effective time; `None` until the filter is full.
     #[must_use]
     pub fn answer(&self) -> Option<(f64, [f64; N])> {
         if self.kept.len() < self.taps.len() {

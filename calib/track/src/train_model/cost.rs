@@ -1,6 +1,6 @@
 //! What a training takes: wall and processor time.
 
-use crate::train::Pass;
+use crate::train::settings::Pass;
 use serde::{Deserialize, Serialize};
 use std::ops::Add;
 use std::time::Instant;

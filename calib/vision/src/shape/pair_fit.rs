@@ -118,7 +118,7 @@ fn pushed_at(model: &CurveModel, state: &CurveState, vertex_mm: &Vector3<f64>) -
 
 /// Follows the curve that the search found through the pieces of both pictures.
 fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, String> {
-    let Scene { stereo, rig, pictures, left_from_base, vertex_mm, prior } = *scene;
+    let Scene { stereo, rig, left_from_base, vertex_mm, prior, .. } = *scene;
     let PairFit { mut model, mut state, mut appearances, polarity, mut noise, .. } = begun;
     let (mut length, mut length_sd, mut length_shared) = (begun.length_mm, begun.length_sd_mm, 0.0);
     let mut prior = Prior { smoothing: begun.smoothing, ..prior.clone() };
@@ -130,30 +130,15 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
     let mut all: Vec<LineObservation> = Vec::new();
     let mut warnings = Vec::new();
     let mut end_seen = false;
-    // The window narrows as the curve converges; blur and width are fitted once the line is approximately right.
+    // The window narrows as the curve converges.
     let windows = [4.0, 2.0, 1.2, 1.0, 1.0];
     let mut round = if again { 3 } else { 0 };
     while let Some(&search_px) = windows.get(round) {
-        let shape = model.shape(&state);
-        all.clear();
-        for camera in 0..2 {
-            let line = image_line(
-                stereo,
-                left_from_base,
-                camera,
-                &shape.points,
-                model.step_mm,
-                length,
-                rig.whisker.diameter_mm,
-            );
-            let measured = measure(&pictures[camera], &line, appearances[camera], search_px);
-            if round == 1 || round == 3 {
-                appearances[camera] = fit_appearance(&pictures[camera], &measured, appearances[camera]);
-            }
-            let seen = visible(&measured, polarity);
-            all.extend(observations(camera, &measured, &seen));
-            pieces[camera] = (measured, seen);
-        }
+        // Blur and width are fitted once the line is approximately right.
+        let fit_looks = round == 1 || round == 3;
+        pieces =
+            measure_pieces(scene, &model, &state, length, search_px, &mut appearances, (polarity, fit_looks));
+        all = (0..2).flat_map(|c| observations(c, &pieces[c].0, &pieces[c].1)).collect();
         if all.len() < 40 {
             return Err(format!("no wire: only {} pieces of 4 px show a bar", all.len()));
         }
@@ -167,23 +152,7 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
         if let Some(arc_mm) = vertex_mm.and_then(|at| pushed_at(&model, &state, &at)) {
             model = model.with_force_at(arc_mm);
         }
-        // Gauss-Newton on the pieces as measured; the smoothing is chosen once the curve is close.
-        for inner in 0..3 {
-            let system = linearise(stereo, left_from_base, &model, &state, &all, noise);
-            if inner == 1 {
-                prior.smoothing = choose_smoothing(&system, &prior, &state, &model);
-            }
-            let (mut h, g) = with_prior(&system, &prior, &state, &model);
-            // The base is held here; the folder's joint step moves it.
-            for k in 0..6 {
-                h[(k, k)] += 1e15;
-            }
-            let step = h.cholesky().ok_or("the curve's normal matrix is singular")?.solve(&g);
-            state = stepped(left_from_base, &state, &step).1;
-            if inner == 2 {
-                noise = consistent_noise(&system, noise, &all);
-            }
-        }
+        (state, noise) = gauss_newton(scene, &model, state, &all, noise, &mut prior)?;
         let ends = ends_seen(scene, &model, &state, appearances, length);
         end_seen = !ends.is_empty();
         if ends.is_empty() {
@@ -228,6 +197,65 @@ fn refine(scene: &Scene<'_>, begun: PairFit, again: bool) -> Result<PairFit, Str
         root_aside_mm: begun.root_aside_mm,
         warnings,
     })
+}
+
+/// The pieces of the wire in both pictures, and which of them show it; appearances are fitted to them where `fit_looks`.
+fn measure_pieces(
+    scene: &Scene<'_>,
+    model: &CurveModel,
+    state: &CurveState,
+    length_mm: f64,
+    search_px: f64,
+    appearances: &mut [Appearance; 2],
+    (polarity, fit_looks): (f64, bool),
+) -> [(Vec<Piece>, Vec<bool>); 2] {
+    let points = model.shape(state).points;
+    [0, 1].map(|camera| {
+        let line = image_line(
+            scene.stereo,
+            scene.left_from_base,
+            camera,
+            &points,
+            model.step_mm,
+            length_mm,
+            scene.rig.whisker.diameter_mm,
+        );
+        let picture = &scene.pictures[camera];
+        let measured = measure(picture, &line, appearances[camera], search_px);
+        if fit_looks {
+            appearances[camera] = fit_appearance(picture, &measured, appearances[camera]);
+        }
+        let seen = visible(&measured, polarity);
+        (measured, seen)
+    })
+}
+
+/// Gauss-Newton on the pieces as measured; the smoothing is chosen once the curve is close. The state, and the noise of the pieces.
+fn gauss_newton(
+    scene: &Scene<'_>,
+    model: &CurveModel,
+    mut state: CurveState,
+    all: &[LineObservation],
+    mut noise: f64,
+    prior: &mut Prior,
+) -> Result<(CurveState, f64), String> {
+    for inner in 0..3 {
+        let system = linearise(scene.stereo, scene.left_from_base, model, &state, all, noise);
+        if inner == 1 {
+            prior.smoothing = choose_smoothing(&system, prior, &state, model);
+        }
+        let (mut h, g) = with_prior(&system, prior, &state, model);
+        // The base is held here; the folder's joint step moves it.
+        for k in 0..6 {
+            h[(k, k)] += 1e15;
+        }
+        let step = h.cholesky().ok_or("the curve's normal matrix is singular")?.solve(&g);
+        state = stepped(scene.left_from_base, &state, &step).1;
+        if inner == 2 {
+            noise = consistent_noise(&system, noise, all);
+        }
+    }
+    Ok((state, noise))
 }
 
 /// The wire's end where a picture shows it, near the arc length `length`.

@@ -1,13 +1,18 @@
 //! One node of the grid: a Gaussian in all that is not the arc length, updated reading by reading (equations in [`super`]).
 
-use super::RecursiveSettings;
+use super::CorrelatedNoise;
 use crate::known_motion::contact_path::{ACROSS, PLAY_MM, State, play};
 use crate::known_motion::field::ContactMoments;
-use crate::known_motion::likelihood::{GROSS, TABLE_MM, TABLE_SHARE};
 use crate::known_motion::posterior::normal_share;
-use crate::known_motion::{MomentField, MotionRow};
+use crate::known_motion::{MomentField, MotionRow, Settings, TABLE_MM, TABLE_SHARE};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Matrix2xX, Rotation3, Vector2, Vector3};
 
+/// Standard deviation of noisy outliers in units of the noise.
+const NOISY: f64 = 10.0;
+/// Largest moment of a wire pressed near its root, N mm: outliers that are anything lie below.
+const MAX_NMM: f64 = 3.0;
+/// Least inverse variance of a reading in units of that of its noise: a certain outlier has no weight.
+const NO_WEIGHT: f64 = 1e-9;
 /// Onset and gap at which an iteration has settled, mm.
 const SETTLED_MM: f64 = 0.01;
 /// Iterations of an update; more at the first reading, before which the onset is not known.
@@ -29,19 +34,21 @@ const COMMON: usize = 2;
 /// A reading as every node sees it.
 pub(super) struct Reading<'a> {
     pub field: &'a MomentField,
-    pub settings: &'a RecursiveSettings,
+    pub settings: &'a Settings,
     pub push: Vector3<f64>,
     pub row: &'a MotionRow,
     /// Motion since the reference: `P_k = turn P + displacement`, mm.
     pub turn: Rotation3<f64>,
     pub displacement_mm: Vector3<f64>,
-    /// Correlation rho of the pose's noise with that of the reading before.
+    /// Correlation rho of the correlated noise with that of the reading before.
     pub correlation: f64,
     /// Loaded beyond its noise: the wire is held.
     pub loaded: bool,
+    /// The contact was left since the reading before: friction remembers nothing.
+    pub touched_anew: bool,
 }
 
-/// Gaussian of (x, g, c, tau, b) given the arc length.
+/// Gaussian of (x, g, c, tau, b) given the arc length; while the lead is taken, b at the first loaded reading stands after it.
 #[derive(Debug, Clone)]
 pub(super) struct NodeFilter {
     pub s_mm: f64,
@@ -69,15 +76,15 @@ struct Linearised {
     moment_nmm: Vector2<f64>,
     /// dy/dz.
     slope: Matrix2xX<f64>,
-    /// Covariances of the reading's own noise and of the pose's, (N mm)^2.
+    /// Covariance of the reading's own noise, (N mm)^2, and of b where it has gone on for long.
     own: Matrix2<f64>,
-    pose: Matrix2<f64>,
+    correlated: Matrix2<f64>,
     contact: Option<(f64, Vector3<f64>)>,
 }
 
 /// Variance along the push of what is not known of a reading's motion, mm^2.
 fn moved_mm2(reading: &Reading<'_>) -> f64 {
-    let clock_mm = reading.row.velocity_mm_s.dot(&reading.push) * reading.settings.common.clock_sd_s;
+    let clock_mm = reading.row.velocity_mm_s.dot(&reading.push) * reading.settings.clock_sd_s;
     reading.row.moved_sd_mm.powi(2) + clock_mm * clock_mm
 }
 
@@ -85,16 +92,36 @@ fn ln_normal(squared: f64, determinant: f64) -> f64 {
     -0.5 * (squared + determinant.max(1e-300).ln()) - std::f64::consts::TAU.ln()
 }
 
+/// Expected inverse variance of a reading in units of that of its noise, and the logarithm of its density, from the logarithms of its three
+/// parts (regular, noisy, anything).
+fn inverse_variance(parts: &[f64; 3]) -> (f64, f64) {
+    let largest = parts.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let ln = largest + parts.iter().map(|p| (p - largest).exp()).sum::<f64>().ln();
+    let weight = (parts[0] - ln).exp() + (parts[1] - ln).exp() / (NOISY * NOISY);
+    (weight.max(NO_WEIGHT), ln)
+}
+
+impl Linearised {
+    /// Covariance that the correlated noise gives a reading, (N mm)^2.
+    fn noise_of_draw(&self, reading: &Reading<'_>) -> Matrix2<f64> {
+        if reading.settings.correlated.is_none() {
+            return Matrix2::zeros();
+        }
+        let factor = self.slope.fixed_columns::<2>(COMMON + reading.row.shared_nmm.len() + 1);
+        factor * self.correlated * factor.transpose()
+    }
+}
+
 impl NodeFilter {
     /// Before any reading; none where the push runs along the wire. `range_mm`: width of the uniform prior of the onset.
     pub fn new(reading: &Reading<'_>, s_mm: f64, range_mm: f64) -> Option<Self> {
         let settings = reading.settings;
         let common = reading.row.shared_nmm.len();
-        let size = COMMON + common + 1 + if settings.pose.is_some() { 2 } else { 0 };
+        let size = COMMON + common + 1 + if settings.correlated.is_some() { 2 } else { 0 };
         let mut covariance = DMatrix::identity(size, size);
         covariance[(ONSET, ONSET)] = range_mm * range_mm / 12.0;
-        covariance[(GAP, GAP)] = settings.common.gap_sd_mm.powi(2);
-        covariance[(COMMON + common, COMMON + common)] = settings.common.clock_sd_s.powi(2);
+        covariance[(GAP, GAP)] = settings.gap_sd_mm.powi(2);
+        covariance[(COMMON + common, COMMON + common)] = settings.clock_sd_s.powi(2);
         let mut node = Self {
             s_mm,
             wire_mm: Vector3::zeros(),
@@ -211,7 +238,7 @@ impl NodeFilter {
         // Stick and slip from the reading before, or from first touch; the slope is that without friction.
         let depth = (place - touch).dot(&reading.push);
         let start = (self.s_mm, place - reading.push * (depth - depth.min(1e-3)));
-        let (mut s, from) = self.contact.unwrap_or(start);
+        let (mut s, from) = self.contact.filter(|_| !reading.touched_anew).unwrap_or(start);
         let share = if reading.row.velocity_mm_s.norm() > 0.0 { mu.moving_share } else { 1.0 };
         let steps = ((place - from).norm() / PLAY_MM).ceil().max(1.0) as usize;
         let mut held = None;
@@ -230,16 +257,16 @@ impl NodeFilter {
         for (j, h) in row.shared_nmm.iter().enumerate() {
             slope.set_column(COMMON + j, &Vector2::from(*h));
         }
-        if settings.pose.is_some() {
-            slope.fixed_columns_mut::<2>(COMMON + common + 1).copy_from(&Matrix2::identity());
+        if let Some(noise) = &settings.correlated {
+            slope.fixed_columns_mut::<2>(COMMON + common + 1).copy_from(&noise.factor(row)?);
         }
         let (place, touch) = (self.place_mm(reading, z), self.touch_mm(z));
         let mut found = Linearised {
             state: z.clone(),
             moment_nmm: Vector2::zeros(),
             slope,
-            own: row.noise_nmm2,
-            pose: settings.pose.map_or(Matrix2::zeros(), |p| p.covariance_nmm2),
+            own: settings.correlated.map_or(row.noise_nmm2, |c| c.own_nmm2(row)),
+            correlated: settings.correlated.map_or(Matrix2::zeros(), |c| c.draw()),
             contact: None,
         };
         if !held {
@@ -268,34 +295,33 @@ impl NodeFilter {
         let size2 = row.moment_nmm[0].powi(2) + row.moment_nmm[1].powi(2);
         let by_pose = rate * rate.transpose() * (row.moved_sd_mm.powi(2) + TABLE_MM.powi(2))
             + Matrix2::identity() * TABLE_SHARE.powi(2) * size2;
-        if settings.pose.is_some() {
-            found.pose += by_pose;
-        } else {
-            found.own += by_pose;
+        match settings.correlated {
+            Some(CorrelatedNoise::ByPose { .. }) => found.correlated += by_pose,
+            _ => found.own += by_pose,
         }
         Some(found)
     }
 
     /// b_k = rho b_(k-1) + noise of covariance (1 - rho^2) B.
-    fn carry_pose(&mut self, reading: &Reading<'_>, pose: &Matrix2<f64>) {
-        if reading.settings.pose.is_none() {
+    fn carry_correlated(&mut self, reading: &Reading<'_>, correlated: &Matrix2<f64>) {
+        if reading.settings.correlated.is_none() {
             return;
         }
-        let (rho, at) = (reading.correlation, self.mean.len() - 2);
+        let (rho, at) = (reading.correlation, COMMON + reading.row.shared_nmm.len() + 1);
         self.mean.rows_mut(at, 2).scale_mut(rho);
         self.covariance.rows_mut(at, 2).scale_mut(rho);
         self.covariance.columns_mut(at, 2).scale_mut(rho);
         let mut block = self.covariance.fixed_view_mut::<2, 2>(at, at);
-        block += pose * (1.0 - rho * rho);
+        block += correlated * (1.0 - rho * rho);
     }
 
-    /// Iterated Kalman update with the mixture of regular readings and outliers.
+    /// Iterated Kalman update with the mixture of regular readings, noisy ones, and such that are anything.
     fn iterate(&mut self, reading: &Reading<'_>, iterations: usize, held: bool) {
         let Some(mut at) = self.linearised(reading, &self.mean, held) else { return self.unexplained() };
-        self.carry_pose(reading, &at.pose);
+        self.carry_correlated(reading, &at.correlated);
         let (before, y) = (self.mean.clone(), Vector2::from(reading.row.moment_nmm));
         let mut z = before.clone();
-        let share = reading.settings.common.gross_share;
+        let share = reading.settings.gross_share;
         for n in 1..=iterations {
             // Innovation at the prior mean by the slope at the present one.
             let innovation = y - at.moment_nmm - &at.slope * &before
@@ -303,35 +329,38 @@ impl NodeFilter {
             let to_state = &at.slope * &self.covariance;
             let known = &to_state * at.slope.transpose();
             let known = Matrix2::new(known[(0, 0)], known[(0, 1)], known[(1, 0)], known[(1, 1)]);
-            // A regular reading, or an outlier.
-            let wide = (GROSS * GROSS - 1.0)
-                * (at.own + if reading.settings.pose.is_some() { at.pose } else { Matrix2::zeros() });
-            let (regular, outlier) = (known + at.own, known + at.own + wide);
-            let (Some(inverse), Some(inverse_wide)) = (regular.try_inverse(), outlier.try_inverse()) else {
+            // All of the reading's noise, the correlated part included: what an outlier has more of.
+            let noise = at.own + at.noise_of_draw(reading);
+            let (regular, noisy) = (known + at.own, known + at.own + noise * (NOISY * NOISY - 1.0));
+            let (Some(inverse), Some(inverse_noisy)) = (regular.try_inverse(), noisy.try_inverse()) else {
                 return self.unexplained();
             };
             let squared = innovation.dot(&(inverse * innovation));
-            let ln_regular = (1.0 - share).ln() + ln_normal(squared, regular.determinant());
-            let squared_wide = innovation.dot(&(inverse_wide * innovation));
-            let ln_outlier = share.max(1e-300).ln() + ln_normal(squared_wide, outlier.determinant());
-            let larger = ln_regular.max(ln_outlier);
-            let ln = larger + ((ln_regular - larger).exp() + (ln_outlier - larger).exp()).ln();
-            let is_regular = (ln_regular - ln).exp();
-            // The expected inverse variance, as in the batch.
-            let wider = 1.0 / (is_regular + (1.0 - is_regular) / (GROSS * GROSS)) - 1.0;
-            let used = regular + wide * (wider / (GROSS * GROSS - 1.0));
+            let squared_noisy = innovation.dot(&(inverse_noisy * innovation));
+            let ln_share = share.max(1e-300).ln();
+            let mut parts = [
+                (1.0 - share).ln() + ln_normal(squared, regular.determinant()),
+                ln_share + ln_normal(squared_noisy, noisy.determinant()),
+                f64::NEG_INFINITY,
+            ];
+            // A step by the other two alone: where the slope is still that of a distant state, a regular reading looks like anything.
+            let used = regular + noise * (1.0 / inverse_variance(&parts).0 - 1.0);
             let Some(inverse_used) = used.try_inverse() else { return self.unexplained() };
-            let gain = to_state.transpose() * inverse_used;
-            let next = &before + &gain * innovation;
+            let next = &before + to_state.transpose() * inverse_used * innovation;
             let step = (next.fixed_rows::<2>(0) - z.fixed_rows::<2>(0)).norm();
             z = next;
             if n == iterations || step < SETTLED_MM {
+                parts[2] = ln_share - (std::f64::consts::PI * MAX_NMM * MAX_NMM).ln();
+                let (weight, ln) = inverse_variance(&parts);
+                let used = regular + noise * (1.0 / weight - 1.0);
+                let Some(inverse_used) = used.try_inverse() else { return self.unexplained() };
+                let gain = to_state.transpose() * inverse_used;
+                self.mean = before + &gain * innovation;
                 self.covariance -= gain * to_state;
-                self.mean = z;
                 self.ln += ln;
                 self.chi2[0] += squared;
                 self.chi2[1] += innovation.dot(&(inverse_used * innovation));
-                self.last_outlier = 1.0 - is_regular;
+                self.last_outlier = 1.0 - (parts[0] - ln).exp();
                 self.outlier += self.last_outlier;
                 self.contact = at.contact;
                 return;
@@ -373,14 +402,20 @@ impl NodeFilter {
         self.covariance -= &column * column.transpose() * (ratio * (ratio + past));
     }
 
-    /// Forgets the pose's noise: the next reading's draw has nothing to do with it.
-    pub fn renew_pose(&mut self, settings: &RecursiveSettings) {
-        let Some(pose) = settings.pose else { return };
-        let at = self.mean.len() - 2;
-        self.mean.rows_mut(at, 2).fill(0.0);
-        self.covariance.rows_mut(at, 2).fill(0.0);
-        self.covariance.columns_mut(at, 2).fill(0.0);
-        self.covariance.fixed_view_mut::<2, 2>(at, at).copy_from(&pose.covariance_nmm2);
+    /// Before the lead, which goes back in time: b at the first loaded reading is kept beside the one that goes on.
+    pub fn keep_correlated(&mut self) {
+        let size = self.mean.len();
+        let kept = |i: usize| if i < size { i } else { i - 2 };
+        self.mean = DVector::from_fn(size + 2, |i, _| self.mean[kept(i)]);
+        self.covariance = DMatrix::from_fn(size + 2, size + 2, |i, j| self.covariance[(kept(i), kept(j))]);
+    }
+
+    /// After the lead: forwards in time from the first loaded reading.
+    pub fn resume_correlated(&mut self) {
+        let size = self.mean.len() - 2;
+        let kept = |i: usize| if i < size - 2 { i } else { i + 2 };
+        self.mean = DVector::from_fn(size, |i, _| self.mean[kept(i)]);
+        self.covariance = DMatrix::from_fn(size, size, |i, j| self.covariance[(kept(i), kept(j))]);
     }
 
     /// A node between others by Lagrange's polynomial through up to four, its covariance by the two next to it.

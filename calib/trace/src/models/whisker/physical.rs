@@ -162,7 +162,7 @@ impl PhysicalModel {
             columns += law.linear.len();
             values += a.values.len();
         }
-        // Each seating after the first has a column of its own: a count that its coefficients do not bear out is absurd.
+        // Each seating after the first has a column of its own: reject a mounting count inconsistent with the coefficients.
         let count = self.coefficients.len();
         let seatings = (count + 1).checked_sub(columns).filter(|s| *s > 0);
         if seatings.is_none() {

@@ -128,11 +128,16 @@ fn of_effect(system: &WhiskerSystem, signatures: &[Signature], effect: usize) ->
     let of = |e: usize| -> Vec<&Signature> { signatures.iter().filter(|a| a.term.effect == e).collect() };
     let own = of(effect);
     if own.is_empty() {
-        return entry("absorbed", "K and the zero take up its whole signature".to_owned());
+        return entry(
+            "absorbed",
+            "not identifiable: fully absorbed by sensitivity K and zero offset".to_owned(),
+        );
     }
     let left = own.iter().map(|a| a.share_left).fold(0.0, f64::max);
-    let mut out =
-        entry("testable", format!("{:.0} % of its signature is left beside K and the zero", 100.0 * left));
+    let mut out = entry(
+        "testable",
+        format!("{:.0} % of its signature is independent of sensitivity K and zero offset", 100.0 * left),
+    );
     for other in (0..system.catalogue().len()).filter(|&o| o != effect) {
         let theirs = of(other);
         if theirs.is_empty() {

@@ -39,7 +39,7 @@ impl Effect for Creep {
         true
     }
     fn sentence(&self) -> &'static str {
-        "The response goes on moving after the stimulus has changed: it creeps."
+        "The response creeps: it keeps changing after the stimulus has settled."
     }
     fn source(&self) -> &'static str {
         "one Prony term driven by the stimulus, or the settling of an earlier load"

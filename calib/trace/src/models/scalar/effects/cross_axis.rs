@@ -31,7 +31,7 @@ impl Effect for CrossAxis {
         true
     }
     fn sentence(&self) -> &'static str {
-        "The response follows a second quantity of the table, not only the stimulus."
+        "Cross-sensitivity: the response also depends on a second quantity of the table."
     }
     fn source(&self) -> &'static str {
         "linear cross-sensitivity"

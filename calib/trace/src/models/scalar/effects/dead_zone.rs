@@ -26,7 +26,7 @@ impl Effect for DeadZone {
         ]
     }
     fn sentence(&self) -> &'static str {
-        "Near zero the response does not follow the stimulus fully: there is a dead zone."
+        "Dead zone: near zero the response does not follow the stimulus."
     }
     fn source(&self) -> &'static str {
         "play or threshold about zero, piecewise linear"

@@ -50,7 +50,7 @@ impl Effect for ErrorTable {
         ]
     }
     fn sentence(&self) -> &'static str {
-        "The errors belong to the places: a table by stimulus and direction describes them, and no law does."
+        "The errors depend on position and direction: a table describes them, no law does."
     }
     fn source(&self) -> &'static str {
         "mean positional deviations and reversal values at the targets, ISO 230-2"

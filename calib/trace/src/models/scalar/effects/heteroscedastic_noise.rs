@@ -17,7 +17,7 @@ impl Effect for HeteroscedasticNoise {
         vec![law("spread", Vec::new(), &[])]
     }
     fn sentence(&self) -> &'static str {
-        "The spread of the readings changes with the stimulus; the readings were weighted accordingly."
+        "The noise depends on the stimulus; the readings were weighted accordingly."
     }
     fn source(&self) -> &'static str {
         "score test of Breusch & Pagan 1979, variance model of Harvey 1976"

@@ -36,7 +36,7 @@ impl Effect for Hysteresis {
         true
     }
     fn sentence(&self) -> &'static str {
-        "The response differs between rising and falling stimulus, as with friction or hysteresis."
+        "Hysteresis: the response differs between rising and falling stimulus."
     }
     fn source(&self) -> &'static str {
         "Coulomb friction by direction; Bouc-Wen with n = 1 (Wen 1976)"

@@ -31,7 +31,7 @@ impl Effect for NonlinearityCubic {
         ]
     }
     fn sentence(&self) -> &'static str {
-        "The response bends: it has a term in the cube of the stimulus."
+        "Cubic nonlinearity: the response has a term in the cube of the stimulus."
     }
     fn source(&self) -> &'static str {
         "NIST/SEMATECH e-Handbook 4.6.1 (load cell)"

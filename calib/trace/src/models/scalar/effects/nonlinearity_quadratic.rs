@@ -16,7 +16,7 @@ impl Effect for NonlinearityQuadratic {
         vec![law("power-2", Vec::new(), &[("coefficient", "response/half-range^2")])]
     }
     fn sentence(&self) -> &'static str {
-        "The response bends: it has a term in the square of the stimulus."
+        "Quadratic nonlinearity: the response has a term in the square of the stimulus."
     }
     fn source(&self) -> &'static str {
         "NIST/SEMATECH e-Handbook 4.6.1 (load cell)"

@@ -26,7 +26,7 @@ impl Effect for Saturation {
         ]
     }
     fn sentence(&self) -> &'static str {
-        "Beyond a knee the response follows the stimulus less: it saturates."
+        "Saturation: above a threshold the sensitivity decreases."
     }
     fn source(&self) -> &'static str {
         "limit stop or full-scale limit, piecewise linear"

@@ -36,7 +36,7 @@ impl Effect for Step {
         true
     }
     fn sentence(&self) -> &'static str {
-        "From one reading on every response is shifted by the same amount."
+        "The zero steps: from one reading on, all responses are shifted by a constant."
     }
     fn source(&self) -> &'static str {
         "change point in time, or in the order of the readings where the table has no times"

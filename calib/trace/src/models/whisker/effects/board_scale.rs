@@ -20,7 +20,7 @@ impl Effect for BoardScale {
         )]
     }
     fn sentence(&self) -> &'static str {
-        "Every length in the pictures is off by one factor: the calibration board is not as large as stated."
+        "All lengths in the pictures are wrong by one factor: the calibration board differs from its stated size."
     }
     fn source(&self) -> &'static str {
         "Hartley & Zisserman, Multiple View Geometry, ch. 10.2: a stereo pair has the scale of its board"

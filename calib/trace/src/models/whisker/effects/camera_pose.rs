@@ -36,7 +36,7 @@ impl Effect for CameraPose {
         ]
     }
     fn sentence(&self) -> &'static str {
-        "What the cameras see is displaced as a whole: they moved after their calibration."
+        "The whole scene is displaced in the pictures: the cameras moved after their calibration."
     }
     fn source(&self) -> &'static str {
         "rigid motion of the scene in the cameras' frame, small angles"

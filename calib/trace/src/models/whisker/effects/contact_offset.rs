@@ -21,7 +21,7 @@ impl Effect for ContactOffset {
         ]
     }
     fn sentence(&self) -> &'static str {
-        "The groove sits a constant distance from where the session says."
+        "The groove is displaced from its stated position by a constant offset."
     }
     fn source(&self) -> &'static str {
         "mounting tolerance of the rig"

@@ -41,7 +41,7 @@ impl Effect for Creep {
         true
     }
     fn sentence(&self) -> &'static str {
-        "The gratings go on moving after the load has changed, as a bond that creeps."
+        "The bond of the gratings creeps: the wavelengths keep changing after the load has settled."
     }
     fn source(&self) -> &'static str {
         "linear viscoelasticity, one or two Prony terms or a spectrum that gives log-time creep"

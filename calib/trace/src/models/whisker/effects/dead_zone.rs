@@ -18,7 +18,7 @@ impl Effect for DeadZone {
         ]
     }
     fn sentence(&self) -> &'static str {
-        "Small moments do not reach the gratings: there is play in the bond or the seat."
+        "Dead zone: small moments do not reach the gratings (play in the bond or the mounting)."
     }
     fn source(&self) -> &'static str {
         "play of the seat; radial or by axis"

@@ -25,7 +25,7 @@ impl Effect for FbgNonlinearity {
         ]
     }
     fn sentence(&self) -> &'static str {
-        "The wavelength is not quite linear in the moment."
+        "The wavelength shift is nonlinear in the moment."
     }
     fn source(&self) -> &'static str {
         "second-order strain-optic and bonding terms"

@@ -15,7 +15,7 @@ impl Effect for FluidDrag {
         vec![law("quadratic").needing(&[LawRequirement::MovingBase])]
     }
     fn sentence(&self) -> &'static str {
-        "The surrounding water drags on the wire while the base moves."
+        "Fluid drag: the surrounding water loads the wire while the base moves."
     }
     fn source(&self) -> &'static str {
         "1/2 rho Cd d v |v|; 0.005 N mm at 0.1 m/s in water"

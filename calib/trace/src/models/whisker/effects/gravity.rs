@@ -16,7 +16,7 @@ impl Effect for Gravity {
         vec![law("weight").needing(&[LawRequirement::Weight]).amplitude("weight_share", "1", [0.0, 1.5], 1.0)]
     }
     fn sentence(&self) -> &'static str {
-        "The weight of the wire bends it."
+        "The wire bends under its own weight."
     }
     fn source(&self) -> &'static str {
         "int r x (rho_w - rho_f) A g ds, about 0.008 N mm"

@@ -27,7 +27,7 @@ impl Effect for GrooveFriction {
         Some("direction (readings of loading and unloading)")
     }
     fn sentence(&self) -> &'static str {
-        "The wire drags in the V-groove: the contact force has a part along the wire until it slips."
+        "Friction in the V-groove: the contact force has a component along the wire until it slips."
     }
     fn source(&self) -> &'static str {
         "Coulomb friction at a point contact; a groove of half angle a raises the coefficient by up to 1/sin a"

@@ -62,7 +62,7 @@ impl Effect for Hysteresis {
         true
     }
     fn sentence(&self) -> &'static str {
-        "The readings depend on whether the load was rising or falling, whatever the speed."
+        "Rate-independent hysteresis: the readings differ between rising and falling load."
     }
     fn source(&self) -> &'static str {
         "Bouc-Wen with n = 1 (Wen 1976) and play operators (Prandtl-Ishlinskii), in the plane as a body dragged on a rope"

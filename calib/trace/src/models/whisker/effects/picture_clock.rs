@@ -22,7 +22,7 @@ impl Effect for PictureClock {
         )]
     }
     fn sentence(&self) -> &'static str {
-        "Pictures taken while the stage moves belong to another time than their rows."
+        "The cameras' clock is offset: pictures taken in motion show another position than their rows."
     }
     fn source(&self) -> &'static str {
         "offset between the cameras' clock and the stage's: the groove is seen at x + v tau"

@@ -21,7 +21,7 @@ impl Effect for RestShape {
         ]
     }
     fn sentence(&self) -> &'static str {
-        "The wire at rest is not as the session declares it: its straight part or the radius of its arc."
+        "The rest shape differs from the declared one: straight length or arc radius."
     }
     fn source(&self) -> &'static str {
         "bending tolerance of the wire; the free tail in the pictures shows it with no load"

@@ -19,7 +19,7 @@ impl Effect for RestZero {
         vec![law("step").needing(&[LawRequirement::RestReadings]).column("rest_zero_pm", "pm")]
     }
     fn sentence(&self) -> &'static str {
-        "The readings at rest have another zero than the loaded ones: they were taken at another time or before the wire was seated."
+        "The rest readings have another zero than the loaded ones (taken at another time or mounting)."
     }
     fn source(&self) -> &'static str {
         "a zero holds for one mounting and one day; packaging and bond settle at first load"

@@ -22,7 +22,7 @@ impl Effect for RigTag {
         ]
     }
     fn sentence(&self) -> &'static str {
-        "The rig tag is not where the rig's description has it: the cameras see the contact at a constant distance along the wire."
+        "The rig tag is displaced from its stated position: the contact appears shifted along the wire by a constant."
     }
     fn source(&self) -> &'static str {
         "the tag says where along the wire the groove is, the wire's own pictures say where across"

@@ -19,7 +19,7 @@ impl Effect for SlipOutliers {
         true
     }
     fn sentence(&self) -> &'static str {
-        "In single readings the wire was not in the vertex of the groove."
+        "Outlying readings were excluded: the wire possibly left the vertex of the groove."
     }
     fn source(&self) -> &'static str {
         "found reading by reading (engine: outliers), not by a law"

@@ -22,7 +22,7 @@ impl Effect for StageBacklash {
         Some("direction (readings of loading and unloading)")
     }
     fn sentence(&self) -> &'static str {
-        "The stage lags behind its command after a reversal."
+        "Backlash: after a reversal the stage lags behind its command."
     }
     fn source(&self) -> &'static str {
         "play between screw and nut; X-LSM100A states < 12 um with encoder (device notes)"

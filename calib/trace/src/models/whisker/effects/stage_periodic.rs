@@ -24,7 +24,7 @@ impl Effect for StagePeriodic {
         Some("stage_mm")
     }
     fn sentence(&self) -> &'static str {
-        "The stage position has an error that repeats with the screw."
+        "Periodic error: the stage position errs with the period of the screw."
     }
     fn source(&self) -> &'static str {
         "LSM100A screw lead 0.6096 mm a turn (device notes)"

@@ -19,7 +19,7 @@ impl Effect for StageScale {
         Some("stage_mm")
     }
     fn sentence(&self) -> &'static str {
-        "The stage travels a constant factor more or less than commanded."
+        "Scale error: the stage travels a constant factor more or less than commanded."
     }
     fn source(&self) -> &'static str {
         "lead error of the screw"

@@ -30,7 +30,7 @@ impl Effect for SuperelasticSoftening {
         ]
     }
     fn sentence(&self) -> &'static str {
-        "The wire softens where it is bent most: the alloy begins to transform."
+        "Superelastic softening: the alloy begins to transform where the wire is bent most."
     }
     fn source(&self) -> &'static str {
         "NiTi transformation at 0.4-1 % surface strain; section law of a plateau in docs/src/method.md"

@@ -16,7 +16,7 @@ impl Effect for TemperatureMismatch {
         vec![law("linear").needing(&[LawRequirement::Temperature]).column("mismatch_pm_per_degc", "pm/degC")]
     }
     fn sentence(&self) -> &'static str {
-        "The sensing and the reference grating do not follow temperature alike, so compensation leaves a rest."
+        "Sensing and reference gratings differ in temperature sensitivity: compensation is incomplete."
     }
     fn source(&self) -> &'static str {
         "difference of the temperature coefficients; tens of pm/K where bonded to polymer"

@@ -16,7 +16,7 @@ impl Effect for WireTaper {
         vec![law("linear-diameter").amplitude("relative_stiffness_change", "1", [-0.6, 1.5], 0.1)]
     }
     fn sentence(&self) -> &'static str {
-        "The wire is thinner or thicker toward its tip than at its root."
+        "Taper: the wire's diameter changes from root to tip."
     }
     fn source(&self) -> &'static str {
         "EI goes with the fourth power of the diameter"

@@ -9,7 +9,7 @@ use wcal_core::observation::WhiskerSpec;
 use wcal_core::verify_document::SurfaceDistance;
 
 /// What an object says of the readings that passed it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct ObjectJudgement {
     /// Whether the object refutes calibration and motion; absent where it cannot judge.
     pub refuted: Option<bool>,
@@ -40,7 +40,10 @@ impl ObjectJudgement {
     ) -> Result<Self, ContactError> {
         let verdict = match witness.judge(calibration, declared) {
             Ok(verdict) => verdict,
-            Err(why @ ContactError::Value { .. }) => return Ok(Self::none(&why)),
+            Err(why @ ContactError::Value { .. }) => {
+                let suspects = suspects(witness, calibration, declared)?;
+                return Ok(Self { suspects, cannot_judge: Some(why.to_string()), ..Self::default() });
+            }
             Err(other) => return Err(other),
         };
         let refuted = verdict.refuted();
@@ -50,22 +53,11 @@ impl ObjectJudgement {
             p_value: Some(verdict.p_value),
             samples: verdict.samples,
             distance: Some(verdict.distance),
-            zero_drift_nmm: verdict.drift_nmm,
+            // Loaded where the free wire would be clear: not of the zero, where the motion is wrong.
+            zero_drift_nmm: verdict.drift_nmm.filter(|_| !refuted),
             suspects,
             cannot_judge: None,
         })
-    }
-
-    fn none(why: &ContactError) -> Self {
-        Self {
-            refuted: None,
-            p_value: None,
-            samples: 0,
-            distance: None,
-            zero_drift_nmm: None,
-            suspects: Vec::new(),
-            cannot_judge: Some(why.to_string()),
-        }
     }
 
     /// Whether moments, motion and object belong together as far as can be told; rows of others are flagged.
@@ -87,7 +79,11 @@ impl ObjectJudgement {
             ));
         }
         if let Some(why) = &self.cannot_judge {
-            all.push(format!("the object cannot judge the sweep: {why}; marked object-disagrees in status"));
+            let explained = self.suspects.iter().any(|s| s.explains);
+            let explained = if explained { format!("; {}", sentence(&self.suspects)) } else { String::new() };
+            all.push(format!(
+                "the object cannot judge the sweep: {why}{explained}; marked object-disagrees in status"
+            ));
         }
         if let Some(nmm) = self.zero_drift_nmm {
             all.push(format!(

@@ -42,8 +42,6 @@ const FRICTION: f64 = 0.3;
 const LEVER_MM_PER_RAD: f64 = 12.0;
 /// The free wire is clear of the object from this distance on, mm, beside three standard deviations of the object's place.
 const CLEAR_MM: f64 = 0.5;
-/// Readings in contact that can judge at least.
-const MIN_SAMPLES: usize = 10;
 /// Readings that judge at most: denser ones say the same again.
 const MAX_SAMPLES: usize = 60;
 /// A reading is loaded beyond this many standard deviations of the free ones, or this share of the largest moment.
@@ -175,9 +173,9 @@ impl SweepWitness {
         let touching: Vec<&SweepRow> = (zero.free..=peak).filter(loaded).map(|k| &rows[k]).collect();
         let every = touching.len().div_ceil(MAX_SAMPLES).max(1);
         let touching: Vec<&SweepRow> = touching.into_iter().step_by(every).collect();
-        if touching.len() < MIN_SAMPLES {
-            let found = format!("{} beyond {loaded_nmm:.3} N mm: the wire touches nothing", touching.len());
-            return Err(ContactError::value(place(), format!("{MIN_SAMPLES} loaded readings"), found));
+        if touching.is_empty() {
+            let found = format!("none beyond {loaded_nmm:.3} N mm: the wire touches nothing");
+            return Err(ContactError::value(place(), "loaded readings", found));
         }
         // Where the object allows a contact with these moments, and how that moves with them.
         let inverse = self.inverse(largest)?;

@@ -167,10 +167,12 @@ impl SweepWitness {
         let largest = zero.largest_nmm;
         let loaded_nmm = (LOADED_SD * zero.variance_nmm2.sqrt()).max(LOADED_SHARE * largest);
         let load = |k: usize| (rows[k].moment_nmm - zero.moment_nmm).norm();
-        let peak = (zero.free..rows.len()).max_by(|a, b| load(*a).total_cmp(&load(*b))).unwrap_or(zero.free);
+        // Up to the largest load; no reading is left where all are free.
+        let after = (zero.free..rows.len()).max_by(|a, b| load(*a).total_cmp(&load(*b)));
+        let (peak, end) = after.map_or((zero.free, zero.free), |peak| (peak, peak + 1));
         // A single loaded reading is an outlier.
         let loaded = |k: &usize| load(*k) > loaded_nmm && (*k == peak || load(*k + 1) > loaded_nmm);
-        let touching: Vec<&SweepRow> = (zero.free..=peak).filter(loaded).map(|k| &rows[k]).collect();
+        let touching: Vec<&SweepRow> = (zero.free..end).filter(loaded).map(|k| &rows[k]).collect();
         let every = touching.len().div_ceil(MAX_SAMPLES).max(1);
         let touching: Vec<&SweepRow> = touching.into_iter().step_by(every).collect();
         if touching.is_empty() {

@@ -137,7 +137,20 @@ fn a_sweep_that_cannot_be_judged_is_named() {
         &with("off", &each(|r| r[5] += 1000.0)),
         &["expected an object within 50 mm of the wire"],
     );
-    named("in contact", &with("in", &|rows| rows[20..].to_vec()), &["the sweep has no zero of its own"]);
+    // A calibration that does not know the zero of the free wire refuses a beginning in contact; where a zero is vouched for, the object speaks.
+    let late = changed(folder.path(), "in", |rows| rows[20..].to_vec());
+    let out = folder.path().join("refused.csv");
+    let run = wcal(&["track", path(&late), "--calibration", &calibration, "--force", "--out", path(&out)]);
+    let said = text(&run.stderr);
+    assert!(
+        run.status.code() == Some(1) && said.contains("expected free readings at the beginning"),
+        "{said}"
+    );
+    named(
+        "in contact",
+        &track(&calibration, &late, &["--tare-s", "0.3"]),
+        &["the sweep has no zero of its own"],
+    );
     let untouched = with("never", &|mut rows| {
         rows.iter_mut().enumerate().for_each(|(k, r)| (r[2], r[3]) = (1e-6 * (k % 3) as f64, 0.0));
         rows

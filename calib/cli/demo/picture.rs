@@ -10,7 +10,7 @@ use wcal_session::{TextTable, TextTableLayout, read_text_table};
 use wcal_sim::Mesh;
 
 /// Slices of the object on either side of the wire's plane, and their distance, mm.
-const SLICES: i32 = 3;
+const SLICES: i32 = 1;
 const SLICE_MM: f64 = 10.0;
 const POSE: [&str; 7] = ["base_x_mm", "base_y_mm", "base_z_mm", "base_qw", "base_qx", "base_qy", "base_qz"];
 

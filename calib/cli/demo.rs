@@ -1,10 +1,13 @@
 //! `wcal demo`: the whole loop on the recordings that come with the project.
 
+mod picture;
+
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::report::read_page;
 use crate::verify::{self, VerifyOrder, print_text, verify_session};
 use anyhow::{Context, bail};
 use clap::Args;
+use picture::sweep_picture;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::files::write_atomic;
@@ -61,8 +64,12 @@ const RECORDINGS: &[Recording] = &[
 ];
 
 /// The measured sweep of the paper's whisker over a bottle.
-const SWEEP: Recording =
-    recording!("bottle", "whiskerfbg_bottle", ["session.toml", "points.csv", "object.stl"], None);
+const SWEEP: Recording = recording!(
+    "bottle",
+    "whiskerfbg_bottle",
+    ["session.toml", "points.csv", "object.stl", "released_contacts.csv"],
+    None
+);
 
 /// Title of the first page, by which an earlier demonstration is told.
 const TITLE: &str = "wcal demo";
@@ -166,7 +173,8 @@ pub fn write_index(place: &Path) -> anyhow::Result<PathBuf> {
          seen, the sweep of the same whisker over a bottle (bottle/track.csv has its contacts). pontius: a load cell of NIST, declared as a \
          straight line. case-004: a whisker bench without any effect.",
     ];
+    let picture = sweep_picture(place).context("picture of the sweep")?;
     let page = place.join("report.html");
-    write_atomic(&page, render_index(TITLE, &introduction, &entries).as_bytes())?;
+    write_atomic(&page, render_index(TITLE, &introduction, Some(&picture), &entries).as_bytes())?;
     Ok(page)
 }

@@ -9,9 +9,9 @@ use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_calibration::{CalibrationModel, WireParts, provenance, seal};
-use wcal_core::map_document::MapDocument;
+use wcal_core::map_document::{MapDocument, RestZero};
 use wcal_core::{Role, SessionData, VerificationStatus, WhiskerData, WhiskerRow};
-use wcal_map::{Criterion, FitOptions, MapTraining, document, fit_map};
+use wcal_map::{Criterion, FitOptions, MapTraining, document, fit_map, test_rest};
 use wcal_session::load;
 use wcal_trace::whisker::sensitivity::lost_sensitivity;
 
@@ -22,7 +22,8 @@ use wcal_trace::whisker::sensitivity::lost_sensitivity;
   wcal fit-gpr fixtures/whiskerfbg --preset released --out as-released
 
 Fits calibration and rest rows only. Exit code 3: a map was fitted, but the readings barely determine a moment,
-or rows had no label.")]
+rows had no label, or the
+readings at rest belong to another zero than the loaded ones and were left out.")]
 pub struct FitGprArgs {
     /// Session folder (kind "whisker")
     pub session: PathBuf,
@@ -104,11 +105,11 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     let progress = Progress::new("fit-gpr");
     progress.stage("moments of the poses");
     let labels = moment_labels(data, args.labels.unwrap_or(default))?;
-    let (training, unlabelled) = training_set(data, &labels);
+    let (mut training, unlabelled) = training_set(data, &labels);
     for point in &unlabelled {
         eprintln!("warning: point {point} has no label in {}; not fitted", labels.source);
     }
-    let options = FitOptions {
+    let mut options = FitOptions {
         released: args.preset.is_some(),
         criterion: match args.hyperparameters {
             Hyperparameters::Evidence => Criterion::Evidence,
@@ -121,7 +122,17 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         ..FitOptions::default()
     };
     progress.stage("fitting and cross-validating the maps");
-    let fit = fit_map(&training, &options).with_context(|| format!("session {:?}", session.id))?;
+    let whose = || format!("session {:?}", session.id);
+    // The released map is reproduced as it is.
+    let rest = if options.released { None } else { test_rest(&training, &options).with_context(whose)? };
+    if rest.as_ref().is_some_and(|r| r.left_out) {
+        // The free wire stays inside the valid region.
+        let at_rest = training.shifts_pm.iter().zip(&training.trajectory).filter(|(_, t)| t.is_none());
+        options.domain_pm = at_rest.map(|(shift, _)| *shift).collect();
+        training = training.loaded();
+    }
+    let mut fit = fit_map(&training, &options).with_context(whose)?;
+    fit.artefact.rest = rest;
     drop(progress);
     let poses = training.trajectory.iter().flatten().count();
     let mut result = document(&fit, &training, poses);
@@ -147,7 +158,8 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     for warning in &result.identifiability.warnings {
         eprintln!("warning: {warning}");
     }
-    let matters = !result.identifiability.warnings.is_empty() || !unlabelled.is_empty();
+    let left_out = result.rest.as_ref().is_some_and(|r| r.left_out);
+    let matters = !result.identifiability.warnings.is_empty() || !unlabelled.is_empty() || left_out;
     Ok(ExitCode::from(if matters { 3 } else { 0 }))
 }
 
@@ -209,6 +221,17 @@ fn print_text(result: &MapDocument) {
             pair(c.loo_rmse_nmm),
             c.loto_rmse_nmm.map_or_else(|| "-".to_owned(), pair),
             format!("{:.2} / {:.2}", c.coverage95[0], c.coverage95[1]),
+        );
+    }
+    if let Some(rest) = &result.rest {
+        let RestZero { readings, offset_nmm: [a, b], p_value, .. } = rest;
+        let verdict = if rest.left_out {
+            "another zero than the loaded poses: left out, the zero of a track is its own"
+        } else {
+            "the zero of the loaded poses"
+        };
+        println!(
+            "{readings} readings at rest: {verdict} (they put the free wire at {a:.3} / {b:.3} N mm, p = {p_value:.2e})"
         );
     }
     println!("condition number of wavelength from moment: {:.2}", result.identifiability.condition);

@@ -21,7 +21,7 @@ use wcal_acquisition::rig::Rig;
 use wcal_calibration::CalibrationModel;
 use wcal_contact::known_motion_stream::MotionAccuracy;
 use wcal_contact::session_groove::contact_sentence;
-use wcal_contact::sweep_session::SweepSession;
+use wcal_contact::sweep_session::{PLACED_SD_MM, SweepSession};
 use wcal_contact::table_source::median_step_s;
 use wcal_contact::trust::{CheckedCalibration, WhiskerModel};
 use wcal_core::CalibrationFile;
@@ -83,6 +83,10 @@ pub struct TrackArgs {
     /// base_qz; _m for metres). Default: such columns of the table
     #[arg(long, value_name = "CSV", conflicts_with = "model")]
     pub motion: Option<PathBuf>,
+    /// Locate the contacts of a table by its moments alone: a sweep past an object at rest is assumed, along the wire's +z or -z at a steady speed
+    /// of 2.5 to 7.5 mm/s; poses in the table serve to state world coordinates and the distance from the object
+    #[arg(long, conflicts_with_all = ["model", "motion"])]
+    pub moments_only: bool,
     /// Clock of the motion minus clock of the readings, s
     #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true)]
     pub motion_offset_s: f64,
@@ -92,6 +96,22 @@ pub struct TrackArgs {
     /// Standard deviation of the logged motion in each coordinate, mm
     #[arg(long, value_name = "MM", default_value_t = 0.02)]
     pub motion_sd_mm: f64,
+    /// Mesh of the object that is passed (STL); a sweep session has its own. Contacts are compared with it, and with --object-pose it judges
+    /// calibration and motion
+    #[arg(long, value_name = "STL")]
+    pub object: Option<PathBuf>,
+    /// Where that mesh lies in the frame of the base's poses: place (mm) and unit quaternion; without it the contacts place it themselves
+    #[arg(
+        long,
+        value_name = "X,Y,Z,QW,QX,QY,QZ",
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        requires = "object"
+    )]
+    pub object_pose: Option<Vec<f64>>,
+    /// Standard deviation of that place in each coordinate, mm
+    #[arg(long, value_name = "MM", default_value_t = PLACED_SD_MM)]
+    pub object_sd_mm: f64,
     /// Rig: rig.toml or the folder that holds it; a session folder has its own
     #[arg(long, value_name = "RIG")]
     pub rig: Option<PathBuf>,
@@ -203,6 +223,13 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     }
     if !trusted(args, &checked) {
         return Ok(ExitCode::from(4));
+    }
+    // A stream or a network takes no zero by itself.
+    let own_zero = !args.model.is_empty() || matches!(source, Source::Recordings(_) | Source::Interrogator);
+    for one in checked.iter().filter(|_| own_zero && args.tare_s.is_none_or(|s| s == 0.0)) {
+        if one.file().model.whisker().is_some_and(|w| !w.knows_zero()) {
+            bail!("{}: {}", one.place().display(), table::NO_ZERO);
+        }
     }
     let trackers = trackers(args, &folders)?;
     let tracker = |name: &str| folders.get(name).and_then(|folder| trackers.get(folder));

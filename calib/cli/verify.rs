@@ -316,7 +316,8 @@ fn of_whisker_session(
 fn witness(folder: &Path, data: &WhiskerData) -> anyhow::Result<SweepWitness> {
     let sweep = SweepSession::of(folder)?
         .with_context(|| format!("--sweep {}: expected a session of kind sweep", folder.display()))?;
-    Ok(SweepWitness::new(sweep, data)?)
+    let poses = data.rows.iter().filter(|r| r.trajectory.is_some()).count();
+    Ok(SweepWitness::new(sweep, (&data.whisker, &data.moments), poses)?)
 }
 
 /// The tracker on the groove, with the accepted calibration: on the sealed readings where there are any. None where the verdict accepts no

@@ -48,6 +48,14 @@ pub trait WhiskerCalibration {
     fn fbg(&self) -> &FbgSpec;
     /// Standard deviation of its moments from pose to pose, N mm.
     fn noise_sd_nmm(&self) -> f64;
+    /// Whether its zero is that of the free wire.
+    fn knows_zero(&self) -> bool {
+        true
+    }
+    /// Readings that it was fitted to, where it says.
+    fn poses(&self) -> Option<usize> {
+        None
+    }
     /// What the errors of its moments are made of.
     fn noise(&self) -> CalibrationNoise;
     /// Moments of a table's readings.

@@ -93,6 +93,14 @@ impl WhiskerCalibration for MapArtefact {
         CalibrationNoise { reading_sd_nmm: reading, drift_sd_nmm: None, misfit_sd_nmm }
     }
 
+    fn knows_zero(&self) -> bool {
+        !self.rest.as_ref().is_some_and(|r| r.left_out)
+    }
+
+    fn poses(&self) -> Option<usize> {
+        Some(self.training_pm.len())
+    }
+
     fn moments(&self, table: &Path) -> Result<MomentTable, CalibrationError> {
         let mut predictor = MapPredictor::new(self)?;
         let table = load_table(table, &self.fbg)?;

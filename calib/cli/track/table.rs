@@ -1,6 +1,6 @@
 //! Tracks of a table or of a session, whatever locates the contacts.
 
-use super::object::{object_score, off_object, say_object_score};
+use super::object::{PassedObject, off_object, say_object_score};
 use super::surface::write_surface;
 use super::{TrackArgs, accuracy, output, refuse_surface};
 use crate::simulated::is_simulated;
@@ -11,12 +11,16 @@ use wcal_contact::estimator::Estimator;
 use wcal_contact::known_groove::KnownGroove;
 use wcal_contact::known_motion_table::KnownMotionTable;
 use wcal_contact::motion_table::{LoggedMotion, has_motion, read};
+use wcal_contact::object_judgement::ObjectJudgement;
 use wcal_contact::reading::Reading;
 use wcal_contact::session_groove::{moment_field, session_readings, without_groove};
 use wcal_contact::static_arc::StaticArc;
+use wcal_contact::sweep_filter::SweepFilter;
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::TableSource;
-use wcal_contact::track_document::{LogDocument, TRACK_FORMAT, TableDocument, TrackDocument, TrackSource};
+use wcal_contact::track_document::{
+    AXIS_OF_WIRE, LogDocument, TRACK_FORMAT, TableDocument, TrackDocument, TrackSource,
+};
 use wcal_contact::trust::WhiskerModel;
 use wcal_contact::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
 use wcal_contact::zero::{FreeStart, beginning};
@@ -108,6 +112,7 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
     // An older file does not say; a fit whose noise is that of its readings has none.
     let has_misfit =
         loaded.file.noise.is_some_and(|n| n.misfit_sd_nmm.is_some() || n.reading_sd_nmm.is_none());
+    let zero_known = loaded.calibration()?.knows_zero();
     let source = TableSource::read(path, (loaded.calibration()?, noise), &whisker)
         .with_context(|| loaded.place.display().to_string())?;
     for warning in &source.warnings {
@@ -128,9 +133,14 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
             None,
         ));
     }
+    if args.moments_only {
+        let mut readings = source.past_object(args.base_mm_s)?;
+        let tare_s = zero_span_s(args, path, &mut readings, (has_misfit, zero_known))?;
+        return Ok(prepared(readings, Box::new(SweepFilter::new(&whisker)), (false, tare_s), None));
+    }
     if args.motion.is_none() && !has_motion(path)? {
         let mut readings = source.alone();
-        let tare_s = zero_span_s(args, path, &mut readings, has_misfit);
+        let tare_s = zero_span_s(args, path, &mut readings, (has_misfit, zero_known))?;
         return Ok(prepared(readings, Box::new(StaticArc::new(&whisker)), (false, tare_s), None));
     }
     let file = args.motion.as_deref().unwrap_or(path);
@@ -150,18 +160,30 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
     let mut readings = source.along(&logged, &(base_from_wire * field.free(0.5 * field.length_mm()).0));
     let over_object = path.parent().map(SweepSession::of).transpose()?.flatten().is_some();
     // Readings of a sweep follow each other: what the poses of a calibration scatter by is no noise of theirs, but an error that they share.
-    let tare_s = zero_span_s(args, path, &mut readings, has_misfit || over_object);
+    let tare_s = zero_span_s(args, path, &mut readings, (has_misfit || over_object, zero_known))?;
     let estimator = KnownMotionTable::new(field, &whisker, accuracy(args), over_object);
     Ok(prepared(readings, Box::new(estimator), (false, tare_s), Some(log_document(args, file, &logged))))
 }
 
+/// A zero that nobody knows.
+pub const NO_ZERO: &str = "expected free readings at the beginning, or their time by --tare-s: the calibration does not know the zero of the \
+     free wire (fit-gpr left out its readings at rest); found neither";
+
 /// Time whose mean moments are the zero of a table, s: the one that is stated, else its free beginning, which also says how large the
 /// readings' own noise is where the calibration does not.
-fn zero_span_s(args: &TrackArgs, path: &Path, readings: &mut [Reading], has_misfit: bool) -> f64 {
+///
+/// # Errors
+/// Where there is none, and the calibration does not know the zero of the free wire.
+fn zero_span_s(
+    args: &TrackArgs,
+    path: &Path,
+    readings: &mut [Reading],
+    (has_misfit, zero_known): (bool, bool),
+) -> Result<f64> {
     if let Some(span_s) = args.tare_s {
-        return span_s;
+        return Ok(span_s);
     }
-    match beginning(readings) {
+    Ok(match beginning(readings, zero_known) {
         FreeStart::Free { span_s, readings: free, noise_nmm2 } => {
             // Where what the law leaves may be misfit, the free readings say what is noise.
             let all = readings.iter_mut().filter_map(|r| r.moments.as_mut()).filter(|_| has_misfit);
@@ -178,8 +200,9 @@ fn zero_span_s(args: &TrackArgs, path: &Path, readings: &mut [Reading], has_misf
             );
             0.0
         }
+        FreeStart::Unknown if !zero_known => bail!("{}: {NO_ZERO}", path.display()),
         FreeStart::Unknown => 0.0,
-    }
+    })
 }
 
 fn log_document(args: &TrackArgs, file: &Path, logged: &LoggedMotion) -> LogDocument {
@@ -209,8 +232,17 @@ pub fn track(
         doubts: loaded.doubts.messages(),
         calibration_sha256: loaded.file.content_sha256.clone(),
     };
+    // A place of the wire's axis lies its radius from the surface.
+    let on_axis = of.estimator.findings().document.place == Some(AXIS_OF_WIRE);
+    let radius_mm = if on_axis { 0.5 * loaded.whisker().map_or(0.0, |w| w.diameter_mm) } else { 0.0 };
     let mut track = WhiskerTrack::new(facts, (of.frame, of.estimator), of.tare_s, of.followed);
     track.know_groove(of.groove);
+    let object = PassedObject::of(args, source)?;
+    let judgement = object.as_ref().map(|o| o.judge(loaded)).transpose()?.flatten();
+    let agrees = judgement.as_ref().is_none_or(ObjectJudgement::agrees);
+    if let Some(object) = &object {
+        track.know_object(object.known(radius_mm, agrees)?);
+    }
     let mut files = output::create(&args.out, false)?;
     let mut unusable = 0;
     for reading in of.readings {
@@ -230,7 +262,8 @@ pub fn track(
         log.lost_rows = lost;
     }
     let [rows, outside, flagged] = [whisker.rows, whisker.outside_valid_region, whisker.flagged_rows];
-    let on_object = object_score(source, &track.history().contacts_mm())?;
+    let contacts_mm = track.history().contacts_mm();
+    let on_object = object.as_ref().map(|o| o.score(&contacts_mm, radius_mm)).transpose()?.flatten();
     let document = TrackDocument {
         format: TRACK_FORMAT,
         source: TrackSource::File(source.to_owned()),
@@ -242,7 +275,8 @@ pub fn track(
             object_class: args.object_class.clone(),
             unusable_rows: unusable,
             motion: log,
-            object: on_object,
+            object: on_object.clone(),
+            object_judgement: judgement.clone(),
             groove_tracking: of.groove_tracking,
             whisker,
         }),
@@ -266,9 +300,10 @@ pub fn track(
     }
     say_object_score(on_object.as_ref());
     found.messages.iter().for_each(|m| eprintln!("{}", m.line("")));
-    let off_object = off_object(on_object.as_ref());
-    off_object.iter().for_each(|said| eprintln!("warning: {said}"));
+    let mut against = judgement.as_ref().map_or_else(Vec::new, ObjectJudgement::messages);
+    against.extend(off_object(on_object.as_ref()));
+    against.iter().for_each(|said| eprintln!("warning: {said}"));
     let outcome =
-        found.outcome.and(Outcome { lost: unusable > 0, doubt: off_object.is_some(), ..Outcome::default() });
+        found.outcome.and(Outcome { lost: unusable > 0, doubt: !against.is_empty(), ..Outcome::default() });
     Ok(ExitCode::from(outcome.exit_code(args.force)))
 }

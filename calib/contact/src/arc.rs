@@ -35,6 +35,15 @@ pub fn static_arc(
     sd_nmm: [f64; 2],
     answer: &Prediction,
 ) -> Prediction {
+    let (solutions, weights) = allowed_weights(inverse, moment_nmm);
+    stated_answer(&solutions, &weights, sd_nmm, answer)
+}
+
+/// What moments (N mm) allow, one solution a node, and their weights; see the module.
+pub(crate) fn allowed_weights(
+    inverse: &StaticInverse,
+    moment_nmm: [f64; 2],
+) -> (Vec<InverseSolution>, Vec<f64>) {
     let mut solutions = Vec::new();
     inverse.solutions(moment_nmm, &mut solutions);
     let (nodes, lengths) = (&inverse.nodes, lengths(&inverse.nodes));
@@ -50,7 +59,17 @@ pub fn static_arc(
     let mut weights: Vec<f64> = solutions.iter().enumerate().map(weight).collect();
     let total: f64 = weights.iter().sum();
     weights.iter_mut().for_each(|w| *w /= total);
-    let each = || weights.iter().zip(&solutions);
+    (solutions, weights)
+}
+
+/// Mean, covariance and direction of the force of weights on solutions; see the module.
+pub(crate) fn stated_answer(
+    solutions: &[InverseSolution],
+    weights: &[f64],
+    sd_nmm: [f64; 2],
+    answer: &Prediction,
+) -> Prediction {
+    let each = || weights.iter().zip(solutions);
     let mean: Vector3<f64> = each().map(|(w, s)| s.point_mm * *w).sum();
     let normal: Vector3<f64> = each().map(|(w, s)| s.normal * *w).sum();
     let noise_nmm = sd_nmm[0].hypot(sd_nmm[1]);

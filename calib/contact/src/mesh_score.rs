@@ -5,6 +5,10 @@
 //! (P. J. Besl, N. D. McKay, IEEE Trans. Pattern Analysis and Machine Intelligence 14 (1992) 239; the turn between matched points by singular
 //! values, K. S. Arun et al., ibid. 9 (1987) 698). Six numbers that are fitted take their part of the error: the distances that are left are
 //! those of the shape, not of the place.
+//!
+//! A place that is known, but set by hand, is stated with three numbers free, too: x minimises `sum_i (d(p_i + x) - r)^2` with `|x| <= 1 mm`,
+//! d the signed distance from the surface (positive outside), r the radius of the wire where a point is one of its axis. By Gauss-Newton:
+//! `(A + l 1) x' = A x - b`, `A = sum n n'`, `b = sum (d - r) n`, n = grad d, l >= 0 so that the bound holds.
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::Serialize;
@@ -20,19 +24,148 @@ const MIN_POINTS: usize = 6;
 /// Points farther than this from the mesh have no closest point, mm.
 const MAX_DISTANCE_MM: f64 = 1e4;
 
-/// Distances of contact points to the mesh.
+/// Freedom of a place that is set by hand, mm, and steps to use it.
+const FREE_MM: f64 = 1.0;
+const FREE_STEPS: usize = 30;
+const BOUND_STEPS: usize = 60;
+
+/// Distances from a surface.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct MeshScore {
-    /// Points.
-    pub points: usize,
+pub struct Distances {
     /// RMS distance, mm.
     pub rmse_mm: f64,
+    /// Mean distance, mm.
+    pub mean_mm: f64,
     /// Median distance, mm.
     pub median_mm: f64,
     /// 95 % quantile, mm.
     pub p95_mm: f64,
+}
+
+impl Distances {
+    fn new(mut mm: Vec<f64>) -> Self {
+        mm.iter_mut().for_each(|d| *d = d.abs());
+        mm.sort_by(f64::total_cmp);
+        let n = mm.len() as f64;
+        let quantile = |q: f64| mm[((n - 1.0) * q).round() as usize];
+        Self {
+            rmse_mm: (mm.iter().map(|d| d * d).sum::<f64>() / n).sqrt(),
+            mean_mm: mm.iter().sum::<f64>() / n,
+            median_mm: quantile(0.5),
+            p95_mm: quantile(0.95),
+        }
+    }
+}
+
+/// Distances of contact points to the mesh.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MeshScore {
+    /// Points.
+    pub points: usize,
+    /// With the mesh where it is said to be, or where the points put it.
+    #[serde(flatten)]
+    pub distances: Distances,
     /// Whether the mesh was placed by the points themselves.
     pub placed_by_points: bool,
+    /// The same with the known place free within 1 mm.
+    pub place_free: Option<FreePlace>,
+}
+
+/// A known place with three numbers free.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct FreePlace {
+    /// The mesh moved by this, frame of the points, mm.
+    pub moved_mm: [f64; 3],
+    /// Distances then.
+    #[serde(flatten)]
+    pub distances: Distances,
+}
+
+/// An object whose place is known.
+pub struct KnownObject {
+    /// Its mesh.
+    pub mesh: Mesh,
+    /// Where it lies in the frame of the base's poses.
+    pub world_from_object: Isometry3<f64>,
+    /// Distance of a stated place from the surface that it touches, mm.
+    pub radius_mm: f64,
+}
+
+impl KnownObject {
+    /// Distance of a contact in the world from the surface, positive outside, mm.
+    #[must_use]
+    pub fn distance_mm(&self, world_mm: &Vector3<f64>) -> f64 {
+        signed(&self.mesh, &self.in_object(world_mm)).0 - self.radius_mm
+    }
+
+    fn in_object(&self, world_mm: &Vector3<f64>) -> Vector3<f64> {
+        self.world_from_object.inverse_transform_point(&(*world_mm).into()).coords
+    }
+
+    /// Scores contacts in the world; none for fewer than six.
+    #[must_use]
+    pub fn score(&self, world_mm: &[Vector3<f64>]) -> Option<MeshScore> {
+        if world_mm.len() < MIN_POINTS {
+            return None;
+        }
+        let points: Vec<Vector3<f64>> = world_mm.iter().map(|p| self.in_object(p)).collect();
+        let moved = free_place(&self.mesh, &points, self.radius_mm);
+        let at = |x: Vector3<f64>| {
+            Distances::new(points.iter().map(|p| signed(&self.mesh, &(p + x)).0 - self.radius_mm).collect())
+        };
+        let moved_mm = (self.world_from_object.rotation * -moved).into();
+        Some(MeshScore {
+            points: points.len(),
+            distances: at(Vector3::zeros()),
+            placed_by_points: false,
+            place_free: Some(FreePlace { moved_mm, distances: at(moved) }),
+        })
+    }
+}
+
+/// Signed distance from the mesh, positive outside, and its gradient; far away where there is no surface near.
+fn signed(mesh: &Mesh, p: &Vector3<f64>) -> (f64, Vector3<f64>) {
+    mesh.closest_point(p, MAX_DISTANCE_MM).map_or((MAX_DISTANCE_MM, Vector3::zeros()), |near| {
+        let out = (p - near.point_mm) * near.distance_mm.signum();
+        (near.distance_mm, out.try_normalize(1e-9).unwrap_or_else(Vector3::zeros))
+    })
+}
+
+/// Displacement of points within the bound after which they lie best on the mesh, mm.
+fn free_place(mesh: &Mesh, points: &[Vector3<f64>], radius_mm: f64) -> Vector3<f64> {
+    let cost =
+        |x: &Vector3<f64>| points.iter().map(|p| (signed(mesh, &(p + x)).0 - radius_mm).powi(2)).sum::<f64>();
+    let mut best = (cost(&Vector3::zeros()), Vector3::zeros());
+    let mut x = Vector3::zeros();
+    for _ in 0..FREE_STEPS {
+        let (mut a, mut b) = (Matrix3::identity() * 1e-6, Vector3::zeros());
+        for p in points {
+            let (d, n) = signed(mesh, &(p + x));
+            a += n * n.transpose();
+            b += n * (d - radius_mm);
+        }
+        let towards = |l: f64| (a + Matrix3::identity() * l).try_inverse().map(|i| i * (a * x - b));
+        // The least l with which the bound holds.
+        let (mut low, mut high) = (0.0, 1e3 * (a.trace() + b.norm()));
+        let Some(mut next) = towards(0.0) else { break };
+        if next.norm() > FREE_MM {
+            for _ in 0..BOUND_STEPS {
+                let l = 0.5 * (low + high);
+                match towards(l) {
+                    Some(at) if at.norm() > FREE_MM => low = l,
+                    _ => high = l,
+                }
+            }
+            next = towards(high).unwrap_or(x);
+        }
+        x = next;
+        let here = cost(&x);
+        if here >= best.0 * (1.0 - SETTLED) {
+            break;
+        }
+        best = (here, x);
+    }
+    best.1
 }
 
 /// Closest point of the mesh; the point itself beyond that distance.
@@ -95,35 +228,16 @@ fn right_angles() -> Vec<UnitQuaternion<f64>> {
     all
 }
 
-/// Scores points against a mesh that lies at `frame_from_mesh` in their frame, or where they put it themselves. None for fewer than six
-/// points.
+/// Scores points against a mesh of unknown place, where they put it themselves; none for fewer than six points.
 #[must_use]
-pub fn mesh_score(
-    points_mm: &[Vector3<f64>],
-    mesh: &Mesh,
-    frame_from_mesh: Option<Isometry3<f64>>,
-) -> Option<MeshScore> {
+pub fn placed_score(points_mm: &[Vector3<f64>], mesh: &Mesh) -> Option<MeshScore> {
     if points_mm.len() < MIN_POINTS {
         return None;
     }
-    let mesh_from_frame = match frame_from_mesh {
-        Some(pose) => pose.inverse(),
-        None => placed(points_mm, mesh),
-    };
-    let mut distances: Vec<f64> = points_mm
-        .iter()
-        .map(|p| closest(mesh, &(mesh_from_frame.rotation * p + mesh_from_frame.translation.vector)).0)
-        .collect();
-    distances.sort_by(f64::total_cmp);
-    let n = distances.len();
-    let quantile = |q: f64| distances[((n - 1) as f64 * q).round() as usize];
-    Some(MeshScore {
-        points: n,
-        rmse_mm: (distances.iter().map(|d| d * d).sum::<f64>() / n as f64).sqrt(),
-        median_mm: quantile(0.5),
-        p95_mm: quantile(0.95),
-        placed_by_points: frame_from_mesh.is_none(),
-    })
+    let pose = placed(points_mm, mesh);
+    let off = |p: &Vector3<f64>| closest(mesh, &(pose.rotation * p + pose.translation.vector)).0;
+    let distances = Distances::new(points_mm.iter().map(off).collect());
+    Some(MeshScore { points: points_mm.len(), distances, placed_by_points: true, place_free: None })
 }
 
 /// Where the points lie best on the mesh.
@@ -168,13 +282,29 @@ mod tests {
                 .map(|(k, p)| frame.rotation * (p + Vector3::repeat(sign(k))) + frame.translation.vector)
                 .collect()
         };
-        let exact = mesh_score(&moved(0.0), &mesh, Some(frame)).unwrap();
-        assert!(exact.rmse_mm < 1e-9 && !exact.placed_by_points, "{exact:?}");
-        let placed = mesh_score(&moved(0.0), &mesh, None).unwrap();
-        assert!(placed.rmse_mm < 0.2 && placed.placed_by_points, "{placed:?}");
+        let known =
+            |world_from_object, radius_mm| KnownObject { mesh: mesh.clone(), world_from_object, radius_mm };
+        let exact = known(frame, 0.0).score(&moved(0.0)).unwrap();
+        assert!(exact.distances.rmse_mm < 1e-9 && !exact.placed_by_points, "{exact:?}");
+        // The mesh 0.4 mm off its stated place in two axes is found again; 3 mm off it is not: the bound holds.
+        let off = |mm: f64| {
+            let mut pose = frame;
+            pose.translation.vector += Vector3::new(mm, 0.0, -mm);
+            known(pose, 0.0).score(&moved(0.0)).unwrap()
+        };
+        let free = off(0.4).place_free.unwrap();
+        assert!(off(0.4).distances.rmse_mm > 0.1 && free.distances.rmse_mm < 1e-3, "{free:?}");
+        assert!((free.moved_mm[0] + 0.4).abs() < 0.01 && (free.moved_mm[2] - 0.4).abs() < 0.01, "{free:?}");
+        let bound = off(3.0).place_free.unwrap();
+        let moved_mm = Vector3::from(bound.moved_mm).norm();
+        assert!(bound.distances.rmse_mm > 0.5 && moved_mm < 1.01, "{bound:?}");
+        // A point of the axis of a wire is its radius outside.
+        assert!((known(frame, 0.15).distance_mm(&moved(0.0)[0]) + 0.15).abs() < 1e-6);
+        let placed = placed_score(&moved(0.0), &mesh).unwrap();
+        assert!(placed.distances.rmse_mm < 0.2 && placed.placed_by_points, "{placed:?}");
         // Control: points that are off the surface to both sides are not fitted away.
-        let off = mesh_score(&moved(2.0), &mesh, None).unwrap();
-        assert!(off.rmse_mm > 0.7, "{off:?}");
-        assert!(mesh_score(&moved(0.0)[..5], &mesh, None).is_none());
+        let off = placed_score(&moved(2.0), &mesh).unwrap();
+        assert!(off.distances.rmse_mm > 0.7, "{off:?}");
+        assert!(placed_score(&moved(0.0)[..5], &mesh).is_none());
     }
 }

@@ -21,14 +21,15 @@
 //! largest one: the contact is that of first touch there. A wire that slips while the load falls may lie on elsewhere, or at two places.
 
 use crate::ContactError;
-use crate::motion_table;
+use crate::sweep_record::{SweepRecord, SweepRow, SweepZero, Trial};
 use crate::sweep_session::SweepSession;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix2, Vector2, Vector3};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
-use wcal_calibration::{SensedRow, WhiskerCalibration};
+use std::sync::OnceLock;
+use wcal_calibration::WhiskerCalibration;
+use wcal_core::WireFrame;
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_core::verify_document::SurfaceDistance;
-use wcal_core::{WhiskerData, WireFrame};
 use wcal_rod::Shape;
 use wcal_sim::Mesh;
 use wcal_track::{InverseGrid, InverseSolution, StaticInverse};
@@ -41,15 +42,15 @@ const FRICTION: f64 = 0.3;
 const LEVER_MM_PER_RAD: f64 = 12.0;
 /// The free wire is clear of the object from this distance on, mm, beside three standard deviations of the object's place.
 const CLEAR_MM: f64 = 0.5;
-/// Free readings that a zero needs at least.
-const MIN_FREE: usize = 3;
-/// Readings in contact that can judge at least.
-const MIN_SAMPLES: usize = 10;
+/// Readings that judge at most: denser ones say the same again.
+const MAX_SAMPLES: usize = 60;
 /// A reading is loaded beyond this many standard deviations of the free ones, or this share of the largest moment.
 const LOADED_SD: f64 = 5.0;
 const LOADED_SHARE: f64 = 0.02;
 /// Surfaces farther away than this are not looked for, mm.
 const REACH_MM: f64 = 50.0;
+/// The table of the wire reaches this multiple of the largest moment: a trial may take the moments for larger.
+const TABLE_REACH: f64 = 1.6;
 /// Step of the moments for gradients, N mm.
 const STEP_NMM: f64 = 0.02;
 /// What friction, the mesh and the model of one contact leave of a gap, mm.
@@ -66,6 +67,8 @@ pub struct SweepWitness {
     whisker: WhiskerSpec,
     /// Loaded poses of the calibration session: what spaces its moments.
     poses: usize,
+    /// What the wire shows; made at the first verdict.
+    inverse: OnceLock<(f64, StaticInverse)>,
 }
 
 /// What a sweep says of one calibration.
@@ -77,6 +80,8 @@ pub struct SweepVerdict {
     pub distance: SurfaceDistance,
     /// Probability of gaps as unlikely where the calibration is right within its uncertainty.
     pub p_value: f64,
+    /// Moment of the free wire after the contact, where it is no longer the zero, N mm.
+    pub drift_nmm: Option<f64>,
 }
 
 impl SweepVerdict {
@@ -94,18 +99,16 @@ struct Gap {
     normal: Vector3<f64>,
 }
 
-/// A reading with the pose of the base.
-struct PosedRow<'a> {
-    row: &'a SensedRow,
-    world_from_base: Isometry3<f64>,
-}
-
 impl SweepWitness {
-    /// Of a sweep with the whisker of a calibration session.
+    /// Of a sweep with a whisker, its moment axes, and the number of loaded poses of its calibration session.
     ///
     /// # Errors
     /// Where the sweep has no object or does not say where it lies, or the wire cannot be used.
-    pub fn new(session: SweepSession, data: &WhiskerData) -> Result<Self, ContactError> {
+    pub fn new(
+        session: SweepSession,
+        (declared, axes): (&WhiskerSpec, &MomentAxes),
+        poses: usize,
+    ) -> Result<Self, ContactError> {
         let what = |key: &str| format!("{}: {key}", session.id);
         let Some(object) = &session.object else {
             return Err(ContactError::value(what("files.object"), "a mesh of the object", "none"));
@@ -117,13 +120,12 @@ impl SweepWitness {
                 "none",
             ));
         };
-        let axes: &MomentAxes = &data.moments;
-        let frame = WireFrame::new(&data.whisker, axes)
-            .map_err(|e| ContactError::value(e.key, e.expected, e.found))?;
-        let whisker = frame.whisker(&data.whisker);
-        let poses = data.rows.iter().filter(|r| r.trajectory.is_some()).count().max(1);
-        let mesh = Mesh::read(object)?;
-        Ok(Self { id: session.id.clone(), mesh, world_from_object, frame, whisker, poses, session })
+        let frame =
+            WireFrame::new(declared, axes).map_err(|e| ContactError::value(e.key, e.expected, e.found))?;
+        let whisker = frame.whisker(declared);
+        let (id, mesh) = (session.id.clone(), Mesh::read(object)?);
+        let (poses, inverse) = (poses.max(1), OnceLock::new());
+        Ok(Self { id, mesh, world_from_object, frame, whisker, poses, session, inverse })
     }
 
     /// Judges a calibration.
@@ -135,106 +137,108 @@ impl SweepWitness {
         calibration: &dyn WhiskerCalibration,
         declared: &WhiskerSpec,
     ) -> Result<SweepVerdict, ContactError> {
-        let sensed = calibration.sensed(&self.session.points, declared)?;
-        let rows = self.posed(&sensed.rows)?;
+        self.verdict(&self.record(calibration, declared)?, &Trial::default())
+    }
+
+    /// Readings through a calibration.
+    pub(crate) fn record(
+        &self,
+        calibration: &dyn WhiskerCalibration,
+        declared: &WhiskerSpec,
+    ) -> Result<SweepRecord, ContactError> {
+        SweepRecord::new(&self.session, calibration, (declared, &self.frame))
+    }
+
+    /// Judges readings as a trial has them.
+    pub(crate) fn verdict(&self, record: &SweepRecord, trial: &Trial) -> Result<SweepVerdict, ContactError> {
+        let place = || self.session.points.display().to_string();
+        let rows = record.rows(trial);
+        let (clear, clear_mm) = self.clear(&rows)?;
         // The sweep's own zero, and from when on the wire is loaded.
-        let free = self.free(&rows)?;
-        let moment = |r: &PosedRow<'_>| Vector2::from(self.frame.moment(r.row.sensed.moment_nmm));
-        let zero = rows[..free].iter().map(moment).sum::<Vector2<f64>>() / free as f64;
-        let shared =
-            |r: &PosedRow<'_>, k: usize| Vector2::from(self.frame.moment(r.row.sensed.shared_nmm[k]));
-        let count = rows.iter().map(|r| r.row.sensed.shared_nmm.len()).min().unwrap_or(0);
-        let at_zero: Vec<Vector2<f64>> = (0..count)
-            .map(|k| rows[..free].iter().map(|r| shared(r, k)).sum::<Vector2<f64>>() / free as f64)
-            .collect();
-        let scatter = rows[..free].iter().map(|r| (moment(r) - zero).norm_squared()).sum::<f64>();
-        let variance = scatter / (2.0 * (free - 1) as f64);
-        let largest = rows.iter().map(|r| (moment(r) - zero).norm()).fold(0.0, f64::max);
-        let loaded_nmm = (LOADED_SD * variance.sqrt()).max(LOADED_SHARE * largest);
-        let load = |r: &PosedRow<'_>| (moment(r) - zero).norm();
-        let peak =
-            (free..rows.len()).max_by(|a, b| load(&rows[*a]).total_cmp(&load(&rows[*b]))).unwrap_or(free);
-        let touching: Vec<&PosedRow<'_>> =
-            rows[free..=peak].iter().filter(|r| load(r) > loaded_nmm).collect();
-        if touching.len() < MIN_SAMPLES {
-            let found = format!("{} beyond {loaded_nmm:.3} N mm", touching.len());
-            let expected = format!("{MIN_SAMPLES} loaded readings");
-            return Err(ContactError::value(self.session.points.display().to_string(), expected, found));
+        let Some(zero) = SweepZero::new(&rows, &clear) else {
+            let expected = format!("readings before the wire comes within {clear_mm:.1} mm of the object");
+            let free = clear.iter().take_while(|c| **c).count();
+            return Err(ContactError::value(
+                place(),
+                expected,
+                format!("{free}: the sweep has no zero of its own"),
+            ));
+        };
+        let largest = zero.largest_nmm;
+        let loaded_nmm = (LOADED_SD * zero.variance_nmm2.sqrt()).max(LOADED_SHARE * largest);
+        let load = |k: usize| (rows[k].moment_nmm - zero.moment_nmm).norm();
+        // Up to the largest load; no reading is left where all are free.
+        let after = (zero.free..rows.len()).max_by(|a, b| load(*a).total_cmp(&load(*b)));
+        let (peak, end) = after.map_or((zero.free, zero.free), |peak| (peak, peak + 1));
+        // A single loaded reading is an outlier.
+        let loaded = |k: &usize| load(*k) > loaded_nmm && (*k == peak || load(*k + 1) > loaded_nmm);
+        let touching: Vec<&SweepRow> = (zero.free..end).filter(loaded).map(|k| &rows[k]).collect();
+        let every = touching.len().div_ceil(MAX_SAMPLES).max(1);
+        let touching: Vec<&SweepRow> = touching.into_iter().step_by(every).collect();
+        if touching.is_empty() {
+            let found = format!("none beyond {loaded_nmm:.3} N mm: the wire touches nothing");
+            return Err(ContactError::value(place(), "loaded readings", found));
         }
         // Where the object allows a contact with these moments, and how that moves with them.
-        let grid = InverseGrid::default();
-        let max_nmm = grid.max_nmm.max(1.05 * largest + STEP_NMM);
-        let inverse = StaticInverse::new(&self.whisker, InverseGrid { max_nmm, ..grid })?;
-        let moments: Vec<Vector2<f64>> = touching.iter().map(|r| moment(r) - zero).collect();
+        let inverse = self.inverse(largest)?;
+        let moments: Vec<Vector2<f64>> = touching.iter().map(|r| r.moment_nmm - zero.moment_nmm).collect();
         let gaps: Vec<Gap> = touching
             .iter()
             .zip(&moments)
-            .filter_map(|(r, m)| self.gap(&inverse, m, &r.world_from_base))
+            .filter_map(|(r, m)| self.gap(inverse, m, &r.world_from_base))
             .collect();
         if gaps.len() < touching.len() {
             let found = format!("{} of {}", gaps.len(), touching.len());
             let expected = format!("an object within {REACH_MM} mm of the wire at every loaded reading");
-            return Err(ContactError::value(self.session.points.display().to_string(), expected, found));
+            return Err(ContactError::value(place(), expected, found));
         }
         // A pose of the calibration stands for its share of the moments' range: within it the misfit is one.
         let spacing_nmm = largest / (self.poses as f64).sqrt();
-        let zero_nmm2 = Matrix2::identity() * (variance / free as f64);
+        let zero_nmm2 = Matrix2::identity() * (zero.variance_nmm2 / zero.free as f64);
         // What all readings share is off the zero already.
-        let off_zero = |r: &PosedRow<'_>| (0..count).map(|k| shared(r, k) - at_zero[k]).collect();
+        let off_zero = |r: &SweepRow| zero.shared_nmm.iter().zip(&r.shared_nmm).map(|(z, h)| h - z).collect();
         let known: Vec<Vec<Vector2<f64>>> = touching.iter().map(|r| off_zero(r)).collect();
-        let covariance = self.covariance(&touching, &moments, &gaps, &known, (zero_nmm2, spacing_nmm));
+        let placed_sd_mm = trial.placed_sd_mm.unwrap_or(self.session.object_sd_mm);
+        let of_zero = (zero_nmm2, spacing_nmm, placed_sd_mm);
+        let covariance = self.covariance(&touching, &moments, &gaps, &known, of_zero);
         Ok(SweepVerdict {
             distance: distance(&gaps),
             samples: gaps.len(),
             p_value: p_value(&gaps, covariance),
+            drift_nmm: zero.drift_nmm,
         })
     }
 
-    /// The readings at which the base's pose is known.
-    fn posed<'a>(&self, rows: &'a [SensedRow]) -> Result<Vec<PosedRow<'a>>, ContactError> {
-        let logged = motion_table::read(&self.session.points, 0.0)?;
-        let place = self.session.points.display().to_string();
-        let mut posed = Vec::with_capacity(rows.len());
-        for row in rows {
-            let Some(t_s) = row.t_s else {
-                return Err(ContactError::value(
-                    format!("{place}: line {}: t_s", row.line),
-                    "a time",
-                    "none",
-                ));
-            };
-            if let Ok(motion) = logged.log.at(t_s, &Vector3::zeros()) {
-                let world_from_base = crate::table_source::base_pose(&motion).world_from_base;
-                posed.push(PosedRow { row, world_from_base });
-            }
+    /// The table of the wire, for moments up to the largest of the first verdict with a margin.
+    fn inverse(&self, largest_nmm: f64) -> Result<&StaticInverse, ContactError> {
+        if self.inverse.get().is_none_or(|(max, _)| *max < largest_nmm + STEP_NMM) {
+            let grid = InverseGrid::coarse();
+            let max_nmm = grid.max_nmm.max(TABLE_REACH * largest_nmm + STEP_NMM);
+            let made = StaticInverse::new(&self.whisker, InverseGrid { max_nmm, ..grid })?;
+            let _ = self.inverse.set((max_nmm, made));
         }
-        Ok(posed)
+        let (max, inverse) = self.inverse.get().ok_or_else(|| self.beyond(largest_nmm, 0.0))?;
+        if *max < largest_nmm { Err(self.beyond(largest_nmm, *max)) } else { Ok(inverse) }
     }
 
-    /// Number of the readings at the beginning at which the free wire is clear of the object.
-    fn free(&self, rows: &[PosedRow<'_>]) -> Result<usize, ContactError> {
+    fn beyond(&self, largest_nmm: f64, max_nmm: f64) -> ContactError {
+        let what = format!("{}: moments", self.session.points.display());
+        ContactError::value(what, format!("at most {max_nmm:.2} N mm"), format!("{largest_nmm:.2} N mm"))
+    }
+
+    /// At which readings the free wire is clear of the object, and by how much, mm.
+    fn clear(&self, rows: &[SweepRow]) -> Result<(Vec<bool>, f64), ContactError> {
         let shape = Shape::new(&self.whisker.rest_shape, 0.5)?;
         let clear_mm = CLEAR_MM + 3.0 * self.session.object_sd_mm + 0.5 * self.whisker.diameter_mm;
         let points: Vec<Vector3<f64>> = shape.nodes_mm.iter().map(|p| self.to_base(p)).collect();
-        let clear = |r: &PosedRow<'_>| {
+        let clear = |r: &SweepRow| {
             let to_object = self.world_from_object.inverse() * r.world_from_base;
             points.iter().all(|p| {
                 let at = to_object.transform_point(&(*p).into()).coords;
                 self.mesh.closest_point(&at, clear_mm).is_none()
             })
         };
-        let free = rows.iter().take_while(|r| clear(r)).count();
-        if free < MIN_FREE {
-            let place = self.session.points.display().to_string();
-            let expected =
-                format!("{MIN_FREE} readings before the wire comes within {clear_mm:.1} mm of the object");
-            return Err(ContactError::value(
-                place,
-                expected,
-                format!("{free}: the sweep has no zero of its own"),
-            ));
-        }
-        Ok(free)
+        Ok((rows.iter().map(clear).collect(), clear_mm))
     }
 
     /// A point of the wire's frame in that of the base.
@@ -290,20 +294,18 @@ impl SweepWitness {
     /// Covariance of the gaps where the calibration is right within its uncertainty, mm^2.
     fn covariance(
         &self,
-        rows: &[&PosedRow<'_>],
+        rows: &[&SweepRow],
         moments: &[Vector2<f64>],
         gaps: &[Gap],
         shared_nmm: &[Vec<Vector2<f64>>],
-        (zero_nmm2, spacing_nmm): (Matrix2<f64>, f64),
+        (zero_nmm2, spacing_nmm, placed_sd_mm): (Matrix2<f64>, f64, f64),
     ) -> DMatrix<f64> {
         let n = rows.len();
-        let root = |i: usize| {
-            root2(&self.frame.covariance(&rows[i].row.sensed.noise_nmm2)).transpose() * gaps[i].by_moment
-        };
+        let root = |i: usize| root2(&rows[i].noise_nmm2).transpose() * gaps[i].by_moment;
         let misfit: Vec<Vector2<f64>> = (0..n).map(root).collect();
         let shared: Vec<Vec<f64>> =
             (0..n).map(|i| shared_nmm[i].iter().map(|h| gaps[i].by_moment.dot(h)).collect()).collect();
-        let placed = self.session.object_sd_mm.powi(2);
+        let placed = placed_sd_mm.powi(2);
         DMatrix::from_fn(n, n, |i, j| {
             let off = (moments[i] - moments[j]).norm() / spacing_nmm.max(1e-9);
             let alike = (-0.5 * off * off).exp();

@@ -3,6 +3,7 @@
 use crate::known_motion::contact_stream::FinishedEpisode;
 use crate::known_motion::{Disagreement, EpisodeEstimate, Innovations, Posterior, Region};
 use crate::mesh_score::MeshScore;
+use crate::object_judgement::ObjectJudgement;
 use crate::sliding::SlidingContact;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -79,6 +80,9 @@ pub struct TableDocument {
     pub motion: Option<LogDocument>,
     /// Distance of the contacts to the mesh of an imported sweep.
     pub object: Option<MeshScore>,
+    /// Whether moments, motion and object belong together, where its place is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub object_judgement: Option<ObjectJudgement>,
     /// Groove of a session against the answers.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub groove_tracking: Option<Option<GrooveTracking>>,

@@ -17,7 +17,7 @@ const COLUMNS: &str = "point,t_s,moment_1_nmm,moment_2_nmm,outside_valid_region,
      contact_x_mm,contact_y_mm,contact_z_mm,var_xx_mm2,var_yy_mm2,var_zz_mm2,cov_xy_mm2,cov_xz_mm2,cov_yz_mm2,\
      whisker,status,doubts,moment_1_sd_nmm,moment_2_sd_nmm,base_speed_mm_s,world_x_mm,world_y_mm,world_z_mm,world_var_xx_mm2,\
      world_var_yy_mm2,world_var_zz_mm2,world_cov_xy_mm2,world_cov_xz_mm2,world_cov_yz_mm2,touching,segment,arclength_regions95,\
-     several_probability";
+     several_probability,object_distance_mm";
 
 /// Columns of the events.
 pub const EVENT_COLUMNS: &str = "whisker,kind,t_s,sd_s,known_s,before_1_nmm,before_2_nmm,after_1_nmm,after_2_nmm,statistic,limit,\
@@ -52,6 +52,8 @@ pub struct TrackRow {
     pub regions: Vec<Region>,
     /// Probability of several contacts where there is contact.
     pub several: Option<f64>,
+    /// Distance of the contact from an object whose place is known, positive outside, mm.
+    pub object_mm: Option<f64>,
 }
 
 /// Appends numbers, or as many empty cells.
@@ -97,6 +99,7 @@ impl TrackRow {
         let regions = self.regions.iter().map(piece).collect::<Vec<_>>().join("|");
         let _ = write!(out, ",{touching},{segment},{regions}");
         cells(&mut out, self.several.map(|p| [p]).as_ref().map(|v| &v[..]), 1, 4);
+        cells(&mut out, self.object_mm.map(|d| [d]).as_ref().map(|v| &v[..]), 1, 4);
         out.push('\n');
         out
     }

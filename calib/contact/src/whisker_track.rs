@@ -9,13 +9,14 @@ use crate::contact_history::ContactHistory;
 use crate::estimator::{Contact, Estimator, Message};
 use crate::frame::{in_base_frame, in_wire_frame};
 use crate::known_groove::KnownGroove;
+use crate::mesh_score::KnownObject;
 use crate::reading::{Moments, Reading};
 use crate::track_document::WhiskerDocument;
 use crate::track_table::TrackRow;
 use crate::zero::Zero;
 use std::collections::VecDeque;
 use wcal_core::WireFrame;
-use wcal_core::stream::StreamMoments;
+use wcal_core::stream::{Flags, StreamMoments};
 
 /// What stands beside the rows of a whisker.
 #[derive(Debug, Clone, Default)]
@@ -48,6 +49,8 @@ pub struct WhiskerTrack<'a> {
     followed: bool,
     /// The groove that the answers are compared with, where it is known.
     groove: Option<KnownGroove>,
+    /// The object that is passed, where its place is known, and what every contact on it is flagged with.
+    object: Option<(KnownObject, Flags)>,
     rows: u64,
     flagged: u64,
     outside: u64,
@@ -72,6 +75,7 @@ impl<'a> WhiskerTrack<'a> {
             history,
             followed,
             groove: None,
+            object: None,
             rows: 0,
             flagged: 0,
             outside: 0,
@@ -81,6 +85,11 @@ impl<'a> WhiskerTrack<'a> {
     /// Compares answers with a groove whose place is known.
     pub fn know_groove(&mut self, groove: Option<KnownGroove>) {
         self.groove = groove;
+    }
+
+    /// States distances from an object whose place is known; contacts on it have these flags.
+    pub fn know_object(&mut self, object: Option<(KnownObject, Flags)>) {
+        self.object = object;
     }
 
     /// Takes the next reading in order of time; the rows that are settled now.
@@ -126,7 +135,11 @@ impl<'a> WhiskerTrack<'a> {
             self.history.gap();
         }
         let segment = self.history.row(t_s, estimate.as_ref(), on_object, base, base_mm_s);
-        let flags = reading.flags.with(contact.flags);
+        let mut flags = reading.flags.with(contact.flags);
+        let object_mm = self.object.as_ref().zip(estimate).zip(base).map(|(((object, doubt), e), base)| {
+            flags = flags.with(*doubt);
+            object.distance_mm(&base.to_world(&e.place_mm, &e.covariance_mm2).0)
+        });
         self.rows += 1;
         self.flagged += u64::from(!flags.none());
         self.outside += u64::from(moments.is_some_and(|m| !m.valid));
@@ -144,6 +157,7 @@ impl<'a> WhiskerTrack<'a> {
             segment: number.or(segment.filter(|_| self.followed)),
             regions,
             several,
+            object_mm,
         }
     }
 

@@ -80,36 +80,51 @@ impl Zero {
     }
 }
 
-/// What the first readings of a table are.
-#[must_use]
-pub fn beginning(readings: &[Reading]) -> FreeStart {
-    let all: Vec<(f64, &Moments)> =
-        readings.iter().filter_map(|r| Some((r.t_s, r.moments.as_ref()?))).collect();
-    if all.len() < MIN_FREE {
-        return FreeStart::Unknown;
+/// First moments of a record that agree with each other.
+pub(crate) struct Steady {
+    /// How many.
+    pub count: usize,
+    /// Farther than this off they no longer do, N mm.
+    pub limit_nmm: f64,
+}
+
+/// The steady beginning of a record whose readings have at least this noise, N mm; none where there is none.
+pub(crate) fn steady(moments_nmm: &[Vector2<f64>], noise_nmm: f64) -> Option<Steady> {
+    if moments_nmm.len() < MIN_FREE {
+        return None;
     }
-    let at = |k: usize| Vector2::from(all[k].1.moment_nmm);
     // Second differences have no trend and six times the noise's variance; a quarter of the readings is taken to be quiet.
     let mut bends: Vec<f64> =
-        (1..all.len() - 1).map(|k| (at(k - 1) - at(k) * 2.0 + at(k + 1)).norm_squared() / 6.0).collect();
+        moments_nmm.windows(3).map(|w| (w[0] - w[1] * 2.0 + w[2]).norm_squared() / 6.0).collect();
     bends.sort_by(f64::total_cmp);
     let quiet = (bends[bends.len() / 4] / CHI2_QUARTER).sqrt();
-    let known = all[0].1.own_nmm2.map_or(0.0, |n| (0.5 * n.trace()).sqrt());
-    let limit = FREE_SDS * quiet.max(known).max(MIN_NOISE_NMM);
+    let limit_nmm = FREE_SDS * quiet.max(noise_nmm).max(MIN_NOISE_NMM);
     let middle = |c: usize| {
-        let mut first: Vec<f64> = (0..MIN_FREE).map(|k| at(k)[c]).collect();
+        let mut first: Vec<f64> = moments_nmm[..MIN_FREE].iter().map(|m| m[c]).collect();
         first.sort_by(f64::total_cmp);
         first[MIN_FREE / 2]
     };
     let middle = Vector2::new(middle(0), middle(1));
-    let free = (0..all.len()).take_while(|k| (at(*k) - middle).norm() <= limit).count();
-    if free < MIN_FREE {
+    let count = moments_nmm.iter().take_while(|m| (*m - middle).norm() <= limit_nmm).count();
+    (count >= MIN_FREE).then_some(Steady { count, limit_nmm })
+}
+
+/// What the first readings of a table are. A calibration that does not know the zero of the free wire cannot tell a beginning in contact: any
+/// steady one is taken for free.
+#[must_use]
+pub fn beginning(readings: &[Reading], zero_known: bool) -> FreeStart {
+    let all: Vec<(f64, &Moments)> =
+        readings.iter().filter_map(|r| Some((r.t_s, r.moments.as_ref()?))).collect();
+    let moments: Vec<Vector2<f64>> = all.iter().map(|(_, m)| m.moment_nmm.into()).collect();
+    let known = all.first().and_then(|(_, m)| m.own_nmm2).map_or(0.0, |n| (0.5 * n.trace()).sqrt());
+    let Some(Steady { count: free, limit_nmm: limit }) = steady(&moments, known) else {
         return FreeStart::Unknown;
-    }
+    };
+    let at = |k: usize| moments[k];
     let mean = (0..free).map(at).sum::<Vector2<f64>>() / free as f64;
     let m = all[0].1;
     let shared: f64 = m.shared_nmm.iter().map(|h| h[0] * h[0] + h[1] * h[1]).sum();
-    if mean.norm() > (ZERO_SDS * (m.pose_nmm2.trace() + shared).sqrt()).max(limit) {
+    if zero_known && mean.norm() > (ZERO_SDS * (m.pose_nmm2.trace() + shared).sqrt()).max(limit) {
         return FreeStart::Loaded(mean.norm());
     }
     let spread: Matrix2<f64> = (0..free).map(|k| (at(k) - mean) * (at(k) - mean).transpose()).sum();
@@ -162,7 +177,9 @@ mod tests {
     #[test]
     fn the_free_beginning_is_the_zero_and_says_what_the_noise_is() {
         let readings = record(0.2);
-        let FreeStart::Free { span_s, readings: free, noise_nmm2 } = beginning(&readings) else { panic!() };
+        let FreeStart::Free { span_s, readings: free, noise_nmm2 } = beginning(&readings, true) else {
+            panic!()
+        };
         assert!(free == 10 && (span_s - 0.95).abs() < 1e-9, "{free} {span_s}");
         assert!((0.001..0.003).contains(&noise_nmm2[(0, 0)].sqrt()), "{noise_nmm2}");
         let mut zero = Zero::new(span_s);
@@ -180,9 +197,13 @@ mod tests {
 
     #[test]
     fn a_record_that_begins_in_contact_has_no_free_beginning() {
-        let FreeStart::Loaded(nmm) = beginning(&record(3.0)) else { panic!("{:?}", beginning(&record(3.0))) };
+        let FreeStart::Loaded(nmm) = beginning(&record(3.0), true) else {
+            panic!("{:?}", beginning(&record(3.0), true))
+        };
         assert!((nmm - 3.0).abs() < 0.01);
-        assert_eq!(beginning(&record(0.0)[9..]), FreeStart::Unknown);
-        assert_eq!(beginning(&record(0.0)[..3]), FreeStart::Unknown);
+        // A calibration without the zero of the free wire takes the steady beginning for free.
+        assert!(matches!(beginning(&record(3.0), false), FreeStart::Free { readings: 10, .. }));
+        assert_eq!(beginning(&record(0.0)[9..], true), FreeStart::Unknown);
+        assert_eq!(beginning(&record(0.0)[..3], true), FreeStart::Unknown);
     }
 }

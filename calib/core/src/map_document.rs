@@ -32,6 +32,21 @@ pub struct Identifiability {
     pub warnings: Vec<String>,
 }
 
+/// Readings at rest, tested by the map of the loaded poses alone.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RestZero {
+    /// Readings at rest.
+    pub readings: usize,
+    /// Moment of the free wire by the loaded poses, N mm.
+    pub offset_nmm: [f64; 2],
+    /// Its standard deviation as one more pose, N mm.
+    pub sd_nmm: [f64; 2],
+    /// Probability of an offset as large where all readings share one zero.
+    pub p_value: f64,
+    /// The readings belong to another zero and were left out of the map.
+    pub left_out: bool,
+}
+
 /// `fit-gpr.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MapDocument {
@@ -48,6 +63,9 @@ pub struct MapDocument {
     pub chosen: String,
     /// Every candidate.
     pub candidates: Vec<MapCandidate>,
+    /// Readings at rest; absent where there are none, or too few loaded ones to test them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rest: Option<RestZero>,
     /// Conditioning and warnings.
     pub identifiability: Identifiability,
     /// `kind` = "hull" or "distance" and its numbers.

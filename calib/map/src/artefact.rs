@@ -9,6 +9,7 @@ use crate::region::ValidRegion;
 use crate::trend::Trend;
 use serde::{Deserialize, Serialize};
 use wcal_core::FbgSpec;
+use wcal_core::map_document::RestZero;
 
 /// Version of [`MapArtefact`] that this program writes.
 pub const ARTEFACT_VERSION: u32 = 1;
@@ -41,6 +42,9 @@ pub struct MapArtefact {
     /// Noise of a reading of its own in the two moments, N mm; absent where the session has neither samples nor their deviation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reading_sd_nmm: Option<[f64; 2]>,
+    /// Readings at rest, where they were tested: left out, the map's zero is not that of the free wire.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rest: Option<RestZero>,
 }
 
 /// One moment: mean = offset + trend(z) beta + k(z) alpha.

@@ -28,6 +28,7 @@ pub fn document(fit: &MapFit, training: &MapTraining, poses: usize) -> MapDocume
         points: poses,
         labels: fit.artefact.labels.clone(),
         chosen: fit.artefact.name.clone(),
+        rest: fit.artefact.rest.clone(),
         candidates,
         identifiability: Identifiability {
             condition: fit.identifiability.condition,

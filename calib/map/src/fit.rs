@@ -97,6 +97,7 @@ pub fn fit_map(training: &MapTraining, options: &FitOptions) -> Result<MapFit, M
         valid_region,
         law: identifiability.law,
         fbg: options.fbg.clone(),
+        rest: None,
         reading_sd_nmm: training.noise_sd_pm.and_then(|sd| identifiability.law.moment_sd_nmm(sd)),
     };
     artefact.check()?;

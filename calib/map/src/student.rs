@@ -16,6 +16,14 @@ pub fn half95(dof: Option<f64>) -> f64 {
     }
 }
 
+/// Probability of a standardised error as large, to either side.
+pub(crate) fn two_sided(z: f64, dof: Option<f64>) -> f64 {
+    2.0 * match dof.and_then(|nu| StudentsT::new(0.0, 1.0, nu).ok()) {
+        Some(t) => t.sf(z.abs()),
+        None => Normal::standard().sf(z.abs()),
+    }
+}
+
 /// Log density of a standardised error.
 pub(crate) fn log_density(z: f64, dof: Option<f64>) -> f64 {
     match dof.and_then(|nu| StudentsT::new(0.0, 1.0, nu).ok()) {

@@ -67,6 +67,23 @@ impl MapTraining {
         Ok(())
     }
 
+    /// Without the readings at rest.
+    #[must_use]
+    pub fn loaded(&self) -> Self {
+        fn kept<T: Copy>(all: &[T], loaded: &[usize]) -> Vec<T> {
+            if all.is_empty() { Vec::new() } else { loaded.iter().map(|i| all[*i]).collect() }
+        }
+        let loaded: Vec<usize> = (0..self.len()).filter(|i| self.trajectory[*i].is_some()).collect();
+        Self {
+            shifts_pm: kept(&self.shifts_pm, &loaded),
+            moments_nmm: kept(&self.moments_nmm, &loaded),
+            trajectory: kept(&self.trajectory, &loaded),
+            pose: kept(&self.pose, &loaded),
+            point: kept(&self.point, &loaded),
+            noise_sd_pm: self.noise_sd_pm,
+        }
+    }
+
     /// Distinct trajectories in ascending order, rest not counted.
     #[must_use]
     pub fn trajectories(&self) -> Vec<u32> {

@@ -32,6 +32,7 @@ mod page;
 mod plot;
 mod sections;
 mod shapes;
+mod sweep_picture;
 mod sweeps;
 mod tracking;
 mod twin;
@@ -46,6 +47,7 @@ pub use map::render_map;
 pub use number::{number, p_value, percent, with_interval};
 pub use page::{is_page, render, render_index, render_many};
 pub use shapes::{ShapePair, ShapePicture, ShapesInput, render_shapes};
+pub use sweep_picture::SweepPicture;
 pub use sweeps::{
     EnginesCompared, ExampleSample, ExampleSweep, SpeedDifference, SweepsInput, SweptObject, render_sweeps,
 };

@@ -43,7 +43,7 @@ fn pages_load_without_a_word_on_the_console() {
     let entries: Vec<IndexEntry> = samples.iter().map(|i| IndexEntry::of(i, "report.html")).collect();
     let pages = [
         ("many.html", render_many("Many", &[], &samples[..2])),
-        ("index.html", render_index("Index", &[], &entries)),
+        ("index.html", render_index("Index", &[], None, &entries)),
         ("shapes.html", render_shapes(&shapes())),
         ("map.html", render_map(&data::map())),
     ];
@@ -75,7 +75,7 @@ fn nothing_is_wider_than_a_phone() {
     let page = render(&data::whisker());
     let entries = [IndexEntry::of(&data::whisker(), "report.html")];
     let map = render_map(&data::map());
-    for page in [&page, &render_index("Index", &[], &entries), &render_shapes(&shapes()), &map] {
+    for page in [&page, &render_index("Index", &[], None, &entries), &render_shapes(&shapes()), &map] {
         assert!(headless::content_width(&browser, page, 400) <= 400);
     }
     let wide = page.replace("<main>", "<main><div style=\"width:900px\">wide</div>");

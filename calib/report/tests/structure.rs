@@ -51,7 +51,7 @@ fn every_sample_is_well_formed_and_needs_nothing_from_outside() {
     let entries: Vec<IndexEntry> = samples.iter().map(|i| IndexEntry::of(i, "a.html")).collect();
     let mut pages: Vec<String> = samples.iter().map(render).collect();
     pages.push(render_many("Many", &["Introduction."], &samples));
-    pages.push(render_index("Index", &[], &entries));
+    pages.push(render_index("Index", &[], None, &entries));
     pages.push(render_map(&data::map()));
     for page in &pages {
         text_of(page).unwrap();
@@ -229,8 +229,9 @@ fn hostile_text_stays_text() {
         record.rejected = Some(text());
         record.covariates.push((text(), record.measured));
     }
-    let index = render_index(HOSTILE, &[HOSTILE], &[IndexEntry::of(&input, HOSTILE)]);
-    let pages = [render(&input), render_many(HOSTILE, &[HOSTILE], &[input.clone()]), index, render_map(&map)];
+    let index = render_index(HOSTILE, &[HOSTILE], None, &[IndexEntry::of(&input, HOSTILE)]);
+    let pages =
+        [render(&input), render_many(HOSTILE, &[HOSTILE], None, &[input.clone()]), index, render_map(&map)];
     for page in pages {
         assert!(!page.contains("<script"), "markup got through");
         assert!(text_of(&page).unwrap().contains("<script>alert(1)</script>"));
@@ -240,7 +241,7 @@ fn hostile_text_stays_text() {
 #[test]
 fn links_cannot_run_scripts() {
     let entry = IndexEntry::of(&bare("axis"), "javascript:alert(1)");
-    assert!(!render_index("i", &[], &[entry]).contains("javascript:"));
+    assert!(!render_index("i", &[], None, &[entry]).contains("javascript:"));
 }
 
 #[test]

@@ -12,5 +12,6 @@ mod artefact;
 mod coverage;
 mod kernel;
 mod leave_out;
+mod rest;
 mod support;
 mod whiskerfbg;

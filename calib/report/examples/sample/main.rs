@@ -19,7 +19,7 @@ fn main() -> io::Result<()> {
     }
     fs::write(folder.join("map.html"), render_map(&data::map()))?;
     let introduction = ["Invented sessions that show what a report looks like."];
-    fs::write(folder.join("index.html"), render_index("Sample reports", &introduction, &entries))?;
+    fs::write(folder.join("index.html"), render_index("Sample reports", &introduction, None, &entries))?;
     fs::write(folder.join("many.html"), render_many("Sample sessions", &introduction, &sessions))?;
     println!("{}", folder.join("index.html").display());
     Ok(())

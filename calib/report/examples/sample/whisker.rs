@@ -189,6 +189,7 @@ pub fn map() -> MapDocument {
         points: 27,
         labels: "twin.csv repaired by rod".into(),
         chosen: "thin-plate".into(),
+        rest: None,
         candidates: vec![
             candidate("thin-plate", [0.0112, 0.0093], [0.963, 0.926], Some(141.2)),
             candidate("quadratic", [0.0125, 0.0118], [0.926, 0.963], Some(133.8)),

@@ -234,7 +234,8 @@ fn what_is_wrong_with_a_sweep_is_named() {
     });
     named("metres", &metres, &["metres, stated as millimetres"]);
     let axis = with("axis", &|rows| rows.iter_mut().for_each(|r| r.swap(base + 1, base + 2)));
-    named("axis", &axis, &["the motion's y is z"]);
+    // Little of the motion is along y: that z is not the log's z can be told, its sign along y cannot.
+    named("axis", &axis, &["the sweep has no zero of its own; the motion's"]);
 }
 
 /// A zero that drifts by 0.1 N mm (8 pm by this map) is named with its size; as measured, there is none.

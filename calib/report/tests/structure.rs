@@ -231,7 +231,7 @@ fn hostile_text_stays_text() {
     }
     let index = render_index(HOSTILE, &[HOSTILE], None, &[IndexEntry::of(&input, HOSTILE)]);
     let pages =
-        [render(&input), render_many(HOSTILE, &[HOSTILE], None, &[input.clone()]), index, render_map(&map)];
+        [render(&input), render_many(HOSTILE, &[HOSTILE], &[input.clone()]), index, render_map(&map)];
     for page in pages {
         assert!(!page.contains("<script"), "markup got through");
         assert!(text_of(&page).unwrap().contains("<script>alert(1)</script>"));

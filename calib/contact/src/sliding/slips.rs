@@ -1,14 +1,13 @@
 //! Where a contact slips from one place of the object to another at once: there the moments leap, and the path after it has its own start.
 //!
 //! ```text
-//! slip between k - 1 and k:   |m_k - m_(k-1)| > c (median |m_j - m_(j-1)| + sqrt(tr R))      median over the 6 steps before and after
+//! slip between k - 1 and k:   |m_k - m_(k-1)| > c (median |m_j - m_(j-1)| + sqrt(tr R))      in either moment; median over the 6 steps around
 //! ```
 //!
 //! c = 6 is a slip whatever else is known; c = 2.5 may be the wire that turns at an edge, and is a slip where no path without it explains the
 //! readings.
 
 use crate::known_motion::MotionRow;
-use nalgebra::Vector2;
 use std::ops::Range;
 
 /// Steps around a slip that it is held against.
@@ -20,13 +19,16 @@ const FROM_ENDS: usize = 3;
 
 /// The readings between slips; a reading that is caught within a slip is in none.
 pub(super) fn parts(rows: &[MotionRow], leap: f64) -> Vec<Range<usize>> {
-    let step = |k: usize| (Vector2::from(rows[k].moment_nmm) - Vector2::from(rows[k - 1].moment_nmm)).norm();
+    let step = |k: usize, c: usize| (rows[k].moment_nmm[c] - rows[k - 1].moment_nmm[c]).abs();
     let leaps = |k: usize| {
         let (from, to) = (k.saturating_sub(AROUND).max(1), (k + AROUND + 1).min(rows.len()));
-        let mut around: Vec<f64> = (from..to).filter(|j| *j != k).map(step).collect();
-        around.sort_by(f64::total_cmp);
         let noise = rows[k].noise_nmm2.trace().sqrt();
-        step(k) > leap * (around[around.len() / 2] + noise)
+        // A slip to the side leaps in one moment alone.
+        (0..2).any(|c| {
+            let mut around: Vec<f64> = (from..to).filter(|j| *j != k).map(|j| step(j, c)).collect();
+            around.sort_by(f64::total_cmp);
+            step(k, c) > leap * (around[around.len() / 2] + noise)
+        })
     };
     let inner = FROM_ENDS..rows.len().saturating_sub(FROM_ENDS).max(FROM_ENDS);
     let mut parts = Vec::new();

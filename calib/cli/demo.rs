@@ -3,7 +3,7 @@
 mod picture;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
-use crate::report::read_page;
+use crate::page_files::read_page;
 use crate::verify::{self, VerifyOrder, print_text, verify_session};
 use anyhow::{Context, bail};
 use clap::Args;

@@ -16,6 +16,7 @@ mod init;
 mod interrupt;
 mod labels;
 mod output;
+mod page_files;
 mod picture_output;
 mod plan_check;
 mod predict;

@@ -1,13 +1,14 @@
 //! `wcal report`: a page again, from the documents that its command stored.
 
-use crate::output::{OutputFolder, check_beside, write_file};
+use crate::output::{check_beside, write_file};
+use crate::page_files::read_page;
 use anyhow::{Context, bail, ensure};
 use clap::Args;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::map_document::MAP_FORMAT;
-use wcal_report::{Page, REPORT_FORMAT, is_page, render_map};
+use wcal_report::{REPORT_FORMAT, is_page, render_map};
 use wcal_track::model_file::read_card;
 
 /// Arguments of `wcal report`.
@@ -31,16 +32,6 @@ const DOCUMENTS: [(&str, &str); 5] = [
     ("fit-gpr.json", "report.html"),
     ("dynamics.json", "dynamics.html"),
 ];
-
-/// Adds a page and the document that it is made of: `NAME.html`, `NAME.json`.
-///
-/// # Errors
-/// None that a page can cause.
-pub fn put_page(out: &mut OutputFolder<'_>, name: &str, page: &Page) -> anyhow::Result<()> {
-    out.put(&format!("{name}.json"), page.to_json()?);
-    out.put(&format!("{name}.html"), page.render());
-    Ok(())
-}
 
 /// Runs the command.
 ///
@@ -114,14 +105,4 @@ fn html_of(path: &Path) -> anyhow::Result<String> {
             wcal_track::model_file::FORMAT
         ),
     })
-}
-
-/// A page out of `report.json`, with the `verify.json` beside it.
-///
-/// # Errors
-/// Where one of them is not what a page needs.
-pub fn read_page(path: &Path) -> anyhow::Result<Page> {
-    let text = wcal_core::files::read_text(path)?;
-    let verify = wcal_core::files::read_text(path.with_file_name("verify.json")).ok();
-    Ok(Page::from_json(&text, verify.as_deref())?)
 }

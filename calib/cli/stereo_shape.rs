@@ -3,9 +3,9 @@
 mod session;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::page_files::put_page;
 use crate::picture_output::provenance;
 use crate::progress::Progress;
-use crate::report::put_page;
 use anyhow::Context;
 use clap::Args;
 use std::path::{Path, PathBuf};

@@ -5,8 +5,8 @@ mod text;
 pub use text::print_text;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::page_files::put_page;
 use crate::progress::Progress;
-use crate::report::put_page;
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
 use crate::simulated::{is_simulated, mark_table};

@@ -1,8 +1,8 @@
 //! Damping and contact of the MuJoCo model, by trials in MuJoCo itself.
 
 use crate::output::OutputFolder;
+use crate::page_files::put_page;
 use crate::progress::Progress;
-use crate::report::put_page;
 use anyhow::{Context, ensure};
 use clap::Args;
 use serde::Serialize;

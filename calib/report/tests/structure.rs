@@ -230,8 +230,7 @@ fn hostile_text_stays_text() {
         record.covariates.push((text(), record.measured));
     }
     let index = render_index(HOSTILE, &[HOSTILE], None, &[IndexEntry::of(&input, HOSTILE)]);
-    let pages =
-        [render(&input), render_many(HOSTILE, &[HOSTILE], &[input.clone()]), index, render_map(&map)];
+    let pages = [render(&input), render_many(HOSTILE, &[HOSTILE], &[input.clone()]), index, render_map(&map)];
     for page in pages {
         assert!(!page.contains("<script"), "markup got through");
         assert!(text_of(&page).unwrap().contains("<script>alert(1)</script>"));

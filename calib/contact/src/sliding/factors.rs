@@ -96,6 +96,18 @@ pub(super) struct Chain<'a> {
     pub heavy: bool,
 }
 
+/// What becomes of the errors that all readings share. A surface of which nothing is known takes up any gain of the moments, so that a fit
+/// learns none of it: the path is fitted with these errors at their mean (S. F. Schmidt's considered parameters, Adv. Control Syst. 3 (1966)
+/// 293), and their whole prior is in its covariance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Common {
+    Held,
+    Free,
+}
+
+/// Weight that holds a common unknown at its mean.
+const HELD: f64 = 1e12;
+
 impl<'a> Chain<'a> {
     pub fn new(wire: &'a TouchedWire, rows: &'a [MotionRow], ends: Ends) -> Self {
         let whiten = rows
@@ -276,7 +288,7 @@ impl<'a> Chain<'a> {
     }
 
     /// The linearised problem; residuals with heavy tails by their weights.
-    pub fn linearise(&self, x: &[State], c: &DVector<f64>) -> Normal {
+    pub fn linearise(&self, x: &[State], c: &DVector<f64>, common: Common) -> Normal {
         let shown: Vec<(Local, Rates)> = x.iter().zip(self.rows).map(|(x, r)| self.rates(x, r)).collect();
         let locals: Vec<Local> = shown.iter().map(|s| s.0).collect();
         let mut normal = Normal::new(STATE * x.len(), self.shared, 3 * STATE);
@@ -286,7 +298,7 @@ impl<'a> Chain<'a> {
                 let all = &locals[range.clone()];
                 let r = self.residual(kind, k, all, c);
                 let weight = self.tails(kind).map_or(1.0, |nu| (nu + 1.0) / (nu + r.norm_squared()));
-                let (mut j, mut common) = (Vec::new(), Vec::new());
+                let (mut j, mut by_common) = (Vec::new(), Vec::new());
                 for (n, reading) in range.enumerate() {
                     for a in 0..STATE {
                         let mut other = all.to_vec();
@@ -299,18 +311,22 @@ impl<'a> Chain<'a> {
                     for n in 0..self.shared {
                         let mut other = c.clone();
                         other[n] += H;
-                        common.push((n, (self.residual(kind, k, all, &other) - r) / H));
+                        by_common.push((n, (self.residual(kind, k, all, &other) - r) / H));
                     }
                 }
                 for i in 0..Self::numbers(kind) {
                     let of =
                         |v: &[(usize, Vector2<f64>)]| v.iter().map(|(n, d)| (*n, d[i])).collect::<Vec<_>>();
-                    normal.add(weight, r[i], &of(&j), &of(&common));
+                    normal.add(weight, r[i], &of(&j), &of(&by_common));
                 }
             }
         }
+        let prior = match common {
+            Common::Held => HELD,
+            Common::Free => 1.0,
+        };
         for n in 0..self.shared {
-            normal.add(1.0, c[n], &[], &[(n, 1.0)]);
+            normal.add(prior, c[n], &[], &[(n, 1.0)]);
         }
         normal
     }

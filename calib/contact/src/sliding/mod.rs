@@ -167,16 +167,12 @@ struct Hypothesis {
     blocks: Vec<BlockPosterior>,
 }
 
-/// Tracks a contact over the readings of one episode; smaller leaps of the moments are slips only where that makes the answer sure.
+/// Tracks a contact over the readings of one episode. Leaps of the moments are slips where that makes the answer sure: each part has a start of
+/// its own, which only moments that are right can find; else one surface from first touch to release tells more.
 #[must_use]
 pub fn locate_sliding(wire: &TouchedWire, rows: &[MotionRow]) -> SlidingContact {
-    let [clear, weak] = LEAPS;
-    let found = locate_parts(wire, rows, clear);
-    if found.sure() {
-        return found;
-    }
-    let parted = locate_parts(wire, rows, weak);
-    if parted.sure() && parted.slips.len() > found.slips.len() { parted } else { found }
+    let sure = |leap: &f64| Some(locate_parts(wire, rows, *leap)).filter(SlidingContact::sure);
+    LEAPS.iter().find_map(sure).unwrap_or_else(|| locate_parts(wire, rows, f64::INFINITY))
 }
 
 /// With the path parted at each leap of the moments.

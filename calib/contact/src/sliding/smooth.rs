@@ -1,7 +1,7 @@
 //! Least squares over the states of all readings, from a first path: Levenberg and Marquardt, first with normal residuals, then with heavy tails.
 
 use super::contact_state::{STATE, State};
-use super::factors::Chain;
+use super::factors::{Chain, Common};
 use nalgebra::{DVector, Matrix3, SMatrix, Vector3};
 
 /// Iterations of a descent, and the improvement at which it ends.
@@ -57,7 +57,7 @@ fn descend(chain: &mut Chain<'_>, from: Smoothed, friction: f64, by_slip: bool, 
     let mut here = Smoothed { cost, ..from };
     let [mut damping, least, most] = DAMPING;
     for _ in 0..MAX_STEPS {
-        let normal = chain.linearise(&here.x, &here.common);
+        let normal = chain.linearise(&here.x, &here.common, Common::Held);
         let better = loop {
             if let Some(factored) = normal.factor(damping) {
                 let (dx, dc) = normal.step(&factored);
@@ -87,7 +87,7 @@ fn descend(chain: &mut Chain<'_>, from: Smoothed, friction: f64, by_slip: bool, 
 
 /// The posterior at each block, by the curvature of the sum of squares; none where it has none.
 pub(super) fn posterior(chain: &Chain<'_>, found: &Smoothed) -> Option<Vec<BlockPosterior>> {
-    let factored = chain.linearise(&found.x, &found.common).factor(0.0)?;
+    let factored = chain.linearise(&found.x, &found.common, Common::Free).factor(0.0)?;
     let of = |(k, x): (usize, &State)| {
         let (y, rates) = chain.wire.rates(x);
         let own = factored.covariance(STATE * k, STATE);

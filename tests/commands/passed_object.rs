@@ -104,8 +104,9 @@ fn distances_from_the_bottle_are_stated_and_the_measured_sweep_agrees() {
     let free = &object["place_free"];
     let moved: f64 = free["moved_mm"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap().powi(2)).sum();
     assert!(of(free, "rmse_mm") <= of(object, "rmse_mm") && moved.sqrt() < 1.001, "{free}");
-    // 2.19 mm; bent to the foreign reading at rest the map gave 2.56. What is left is what 27 poses do not tell of the gain.
-    assert!(of(object, "median_mm") < 2.4, "{object}");
+    // 0.87 mm; bent to the foreign reading at rest the map gave 2.56, and 2.19 with the gain fitted along an unknown surface. What is left is what 27
+    // poses do not tell of the gain.
+    assert!(of(object, "median_mm") < 1.2 && of(free, "mean_mm") < 0.75, "{object}");
     // The same object by options beside the table.
     let bottle = fixture("whiskerfbg_bottle/object.stl");
     let table = folder.path().join("readings.csv");

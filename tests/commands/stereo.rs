@@ -263,7 +263,7 @@ fn cameras_come_back_from_the_files_of_other_programs() {
         shape.extend(["--out".into(), out.clone(), "--cameras".into()]);
         shape.extend(cameras.clone());
         let (code, _, text) = wcal(&shape.iter().map(String::as_str).collect::<Vec<_>>());
-        assert!(code == 3 && text.contains("no errors of the cameras"), "{text}");
+        assert!(code == 3 && text.contains("no camera uncertainties"), "{text}");
         let found: Value =
             serde_json::from_slice(&std::fs::read(Path::new(&out).join("shapes.json")).unwrap()).unwrap();
         let (found, expected) = (one(&found), one(&made.shapes));

@@ -1,10 +1,10 @@
 //! From `recording*.mcap` to `points.csv`, `holdout.csv` and `session.toml`.
 
-use crate::assign::ChannelMap;
+use crate::assign::{Assigned, ChannelMap};
 use crate::clocks::{BROKEN_CLOCK, ClockFit, ClockPair};
 use crate::error::AcquisitionError;
 use crate::lag;
-use crate::message::SweepEvent;
+use crate::message::{Scan, SweepEvent};
 use crate::pictures::{PartClocks, PicturedRow, write_pictures};
 use crate::replay::{Message, read};
 use crate::rig::Rig;
@@ -198,12 +198,7 @@ fn reduce_part(
         cameras.into_iter().filter_map(|(name, pair)| Some((name, pair.fit()?))).collect();
     result.camera_clocks.extend(cameras.iter().map(|(name, fit)| (name.clone(), *fit)));
     let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else { return Ok(PartClocks::default()) };
-    let set_s = result.clocks.first().map_or(0.0, |first| clock_set_s(first, &fit, rig.clock_scale));
-    if set_s != 0.0 {
-        result.clock_faults.push(format!("the clock was set by {set_s:.3} s between two recordings"));
-    }
-    let origin_s = origin_s + set_s;
-    result.clocks.push(fit);
+    let origin_s = origin_s + add_clock(result, fit, rig.clock_scale);
     let track = Track::new(&stage, &fit, rig.stage.zero_mm);
     let mut windows = windows_of(&events);
     windows.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
@@ -237,46 +232,81 @@ fn reduce_part(
                 signal.push((t_s, a, b));
             }
         }
-        let from = windows.partition_point(|w| w.end_s < t_s);
-        // Windows on the fly may touch each other; none is longer than a settled one.
-        for window in windows[from..].iter_mut().take_while(|w| w.begin_s <= t_s) {
-            // A window that was over before the clock's fault has no scans from after it, whatever time they state.
-            let over = unclocked && sound.broken.is_some_and(|(_, events)| window.event < events);
-            if t_s > window.end_s || over {
-                continue;
-            }
-            window.late |= late || unclocked;
-            let assigned = map.assign(&scan.reading());
-            match assigned.usable() {
-                Some(sensing) => {
-                    window.samples.serials.push(scan.serial);
-                    window.samples.times_s.push(t_s - window.begin_s);
-                    window.samples.reference_nm.push(assigned.reference_nm.unwrap_or(f64::NAN));
-                    window.samples.sensing_nm[0].push(sensing[0]);
-                    window.samples.sensing_nm[1].push(sensing[1]);
-                }
-                None => window.samples.unusable += 1,
-            }
-        }
+        // A window that was over before the clock's fault has no scans from after it, whatever time they state.
+        let after_fault = sound.broken.filter(|_| unclocked).map(|(_, events)| events);
+        take_sample(&mut windows, &scan, &map.assign(&scan.reading()), late || unclocked, after_fault);
     })?;
     for signal in &sync_signals {
         result.lag_s.extend(lag::estimate_s(signal, |t_s| track.at(t_s).map(|p| p.0)));
     }
-    // In the order of the work, which a clock that was set does not change.
+    add_rows(rig, windows, &events, &track, (origin_s, unaligned), &lost, rows, result);
+    Ok(PartClocks { interrogator: Some(fit), cameras, origin_s })
+}
+
+/// Adds a recording's clock; by how much it was set since the first one, s.
+fn add_clock(result: &mut Reduction, fit: ClockFit, clock_scale: f64) -> f64 {
+    let set_s = result.clocks.first().map_or(0.0, |first| clock_set_s(first, &fit, clock_scale));
+    if set_s != 0.0 {
+        result.clock_faults.push(format!("the clock was set by {set_s:.3} s between two recordings"));
+    }
+    result.clocks.push(fit);
+    set_s
+}
+
+/// A scan into the windows that it lies in; windows on the fly may touch each other, and none is longer than a settled one. `after_fault`: events
+/// before a fault of the clock after which the scan came.
+fn take_sample(
+    windows: &mut [Window],
+    scan: &Scan,
+    assigned: &Assigned,
+    late: bool,
+    after_fault: Option<usize>,
+) {
+    let t_s = scan.device_s;
+    let from = windows.partition_point(|w| w.end_s < t_s);
+    for window in windows[from..].iter_mut().take_while(|w| w.begin_s <= t_s) {
+        if t_s > window.end_s || after_fault.is_some_and(|events| window.event < events) {
+            continue;
+        }
+        window.late |= late;
+        match assigned.usable() {
+            Some(sensing) => {
+                window.samples.serials.push(scan.serial);
+                window.samples.times_s.push(t_s - window.begin_s);
+                window.samples.reference_nm.push(assigned.reference_nm.unwrap_or(f64::NAN));
+                window.samples.sensing_nm[0].push(sensing[0]);
+                window.samples.sensing_nm[1].push(sensing[1]);
+            }
+            None => window.samples.unusable += 1,
+        }
+    }
+}
+
+/// Rows of the windows, in the order of the work, which a clock that was set does not change.
+#[allow(clippy::too_many_arguments, reason = "what a part's second pass has gathered")]
+fn add_rows(
+    rig: &Rig,
+    mut windows: Vec<Window>,
+    events: &[SweepEvent],
+    track: &Track,
+    (origin_s, unaligned): (f64, bool),
+    lost: &[[f64; 2]],
+    rows: &mut Vec<Row>,
+    result: &mut Reduction,
+) {
     windows.sort_by_key(|w| w.event);
     for window in windows {
         let event = &events[window.event];
         let stream = match window.late || unaligned {
             true => Stream::Late,
-            false if missing_share(&window, &lost) > MAX_MISSING => Stream::Lost,
+            false if missing_share(&window, lost) > MAX_MISSING => Stream::Lost,
             false => Stream::Whole,
         };
-        match row_of(rig, event, &window, &track, origin_s) {
+        match row_of(rig, event, &window, track, origin_s) {
             Some(row) => rows.push(Row { stream, ..row }),
             None => result.empty_windows += 1,
         }
     }
-    Ok(PartClocks { interrogator: Some(fit), cameras, origin_s })
 }
 
 /// By how much a clock was set between two recordings, s; 0 within what a working clock may have drifted. The computer's clock tells, but

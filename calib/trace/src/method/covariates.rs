@@ -34,6 +34,30 @@ struct CovariateBuilder<'a> {
 }
 
 impl CovariateBuilder<'_> {
+    /// Shapes over a clock, or over a column of which nothing is known; `unit`: its values from 0 to 1, `span`: their range.
+    fn add_clock_shapes(&mut self, name: &str, unit: &[f64], span: f64) {
+        let map = |f: &dyn Fn(f64) -> f64| unit.iter().map(|u| f(*u)).collect::<Vec<f64>>();
+        self.add(name, "linear", None, &[map(&|u| u)]);
+        self.add(name, "quadratic", None, &[map(&|u| u), map(&|u| u * u)]);
+        for q in quantiles(unit, 24) {
+            self.add(name, "step", None, &[map(&|u| f64::from(u8::from(u > q)))]);
+        }
+        if name == "t_s" || name == "order" {
+            // What sets in during the session.
+            for q in [0.2, 0.35, 0.5, 0.65, 0.8] {
+                self.add(name, "dead-zone", None, &[map(&|u| (u - q).max(0.0))]);
+            }
+            for tau in [0.03, 0.08, 0.2, 0.5] {
+                self.add(name, "exponential", None, &[map(&|u| (-u / tau).exp())]);
+            }
+        }
+        for cycles in waves(unit) {
+            let phase = std::f64::consts::TAU * cycles;
+            let wave = [map(&|u| (phase * u).sin()), map(&|u| (phase * u).cos())];
+            self.add(name, "sinusoid", Some(span / cycles), &wave);
+        }
+    }
+
     /// `columns` free in every channel.
     fn add(&mut self, covariate: &str, shape: &'static str, period: Option<f64>, columns: &[Vec<f64>]) {
         let mut raw: Vec<DVector<f64>> = Vec::new();
@@ -187,25 +211,7 @@ pub fn signatures_of_covariates(
                 maker.add(name, "exponential", None, &[values.iter().map(|v| (1.0 + v).ln()).collect()]);
             }
             _ if is_clock(name) || system.further_columns().contains(name) => {
-                maker.add(name, "linear", None, &[map(&|u| u)]);
-                maker.add(name, "quadratic", None, &[map(&|u| u), map(&|u| u * u)]);
-                for q in quantiles(&unit, 24) {
-                    maker.add(name, "step", None, &[map(&|u| f64::from(u8::from(u > q)))]);
-                }
-                if name == "t_s" || name == "order" {
-                    // What sets in during the session.
-                    for q in [0.2, 0.35, 0.5, 0.65, 0.8] {
-                        maker.add(name, "dead-zone", None, &[map(&|u| (u - q).max(0.0))]);
-                    }
-                    for tau in [0.03, 0.08, 0.2, 0.5] {
-                        maker.add(name, "exponential", None, &[map(&|u| (-u / tau).exp())]);
-                    }
-                }
-                for cycles in waves(&unit) {
-                    let phase = std::f64::consts::TAU * cycles;
-                    let wave = [map(&|u| (phase * u).sin()), map(&|u| (phase * u).cos())];
-                    maker.add(name, "sinusoid", Some(span / cycles), &wave);
-                }
+                maker.add_clock_shapes(name, &unit, span);
                 maker.add(name, "linear", None, &gain(&map(&|u| u - 0.5)));
             }
             "stage_mm" | "moment_nmm" => {

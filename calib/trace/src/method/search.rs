@@ -148,21 +148,7 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         if !level_test.rejected() && !single_readings(system, &best) {
             break;
         }
-        // Extend the few best explanations of the last size; the true set need not contain the best single effect.
-        let mut next: Vec<Hypothesis> = Vec::new();
-        let variance = best.fit.variance();
-        for (k, h) in level.iter().take(if size == 1 { 1 } else { 3 }).enumerate() {
-            let more = if k == 0 {
-                extend(system, h, &level_test.signatures)
-            } else {
-                extend(system, h, &signatures_of_catalogue(system, &h.fit, &h.weights, &nuisance(&h.fit)))
-            };
-            merge(system, &mut next, more, outliers, &base.fit, variance);
-        }
-        if size > 1 {
-            let more = by_subsets(system, &base, &first_test.signatures, &next, size);
-            merge(system, &mut next, more, outliers, &base.fit, variance);
-        }
+        let mut next = larger(system, &base, &best, &level, [&level_test, &first_test], size);
         let open = next.iter().filter(|h| h.physical(system) && !h.acceptable(system));
         not_converged.extend(open.map(|h| names(system, &h.key(system, outliers))));
         next.retain(|h| h.acceptable(system) && h.key(system, outliers).len() == given + size);
@@ -207,23 +193,15 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         .filter(|(h, p)| **p >= AMBIGUITY_LEVEL || not_told(system, &base, &best, h, behind(h)))
         .map(|(h, _)| h.clone())
         .collect();
-    let evidence = final_level
-        .iter()
-        .zip(&p_values)
-        .map(|(h, p_value)| Evidence {
-            effects: names(system, &h.key(system, outliers)),
-            laws: h
-                .fit
-                .terms
-                .iter()
-                .map(|t| system.catalogue()[t.effect].law(t.law).name.to_owned())
-                .collect(),
-            gain: (base.fit.ssr - h.fit.ssr) / variance,
-            behind: behind(h),
-            parameters: h.parameters(&base.fit) as usize,
-            p_value: *p_value,
-        })
-        .collect();
+    let line = |(h, p_value): (&Hypothesis, &f64)| Evidence {
+        effects: names(system, &h.key(system, outliers)),
+        laws: laws(system, h),
+        gain: (base.fit.ssr - h.fit.ssr) / variance,
+        behind: behind(h),
+        parameters: h.parameters(&base.fit) as usize,
+        p_value: *p_value,
+    };
+    let evidence = final_level.iter().zip(&p_values).map(line).collect();
     let covariate_beats_catalogue = covariate_wins(&base, &first_test, &best, variance);
     Some(SearchResult {
         base,
@@ -238,6 +216,38 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         covariate_beats_catalogue,
         within_model_error: Vec::new(),
     })
+}
+
+/// Explanations with one effect more: the few best of the last size extended, since the true set need not contain the best single effect, and
+/// subsets of the first test's signatures. `tests`: of the best explanation so far, and of the declared model.
+fn larger(
+    system: &dyn MeasurementModel,
+    base: &Hypothesis,
+    best: &Hypothesis,
+    level: &[Hypothesis],
+    [test, first_test]: [&OmnibusTest; 2],
+    size: usize,
+) -> Vec<Hypothesis> {
+    let (outliers, variance) = (outlier_index(system), best.fit.variance());
+    let mut next: Vec<Hypothesis> = Vec::new();
+    for (k, h) in level.iter().take(if size == 1 { 1 } else { 3 }).enumerate() {
+        let more = if k == 0 {
+            extend(system, h, &test.signatures)
+        } else {
+            extend(system, h, &signatures_of_catalogue(system, &h.fit, &h.weights, &nuisance(&h.fit)))
+        };
+        merge(system, &mut next, more, outliers, &base.fit, variance);
+    }
+    if size > 1 {
+        let more = by_subsets(system, base, &first_test.signatures, &next, size);
+        merge(system, &mut next, more, outliers, &base.fit, variance);
+    }
+    next
+}
+
+/// Names of the laws of an explanation's terms.
+fn laws(system: &dyn MeasurementModel, h: &Hypothesis) -> Vec<String> {
+    h.fit.terms.iter().map(|t| system.catalogue()[t.effect].law(t.law).name.to_owned()).collect()
 }
 
 /// Identifiers of what terms stand for.

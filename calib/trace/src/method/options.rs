@@ -3,9 +3,12 @@
 use std::fmt;
 use std::sync::Arc;
 
-/// Who waits for a search: hears the stage it is in, and the part of it that is done.
+/// Hears the stage that a search is in, and the part of it that is done, 0 to 1.
+type Heard = dyn Fn(&str, f64) + Send + Sync;
+
+/// Who waits for a search.
 #[derive(Clone, Default)]
-pub struct ProgressListener(Option<Arc<dyn Fn(&str, f64) + Send + Sync>>);
+pub struct ProgressListener(Option<Arc<Heard>>);
 
 impl ProgressListener {
     /// Calls `heard` with the name of the stage and the part that is done, 0 to 1.

@@ -70,7 +70,7 @@ pub fn sweep_picture(place: &Path) -> Result<SweepPicture> {
 /// What track.json says of the distances.
 fn stated(place: &Path) -> Result<String> {
     let file = place.join("bottle/track.json");
-    let text = std::fs::read(&file).with_context(|| file.display().to_string())?;
+    let text = wcal_core::files::read(&file).with_context(|| file.display().to_string())?;
     let document: serde_json::Value = serde_json::from_slice(&text)?;
     let of = |v: &serde_json::Value| {
         let number = |key: &str| v[key].as_f64().unwrap_or(f64::NAN);

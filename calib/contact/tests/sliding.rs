@@ -137,7 +137,7 @@ fn a_sliding_contact_is_followed_in_any_direction() {
     // A track that turns back is never sure: some contacts are lost, and the regions say so. How narrow they are where the answer is sure, and how
     // near the truth, is tested in sliding_sweeps.rs.
     assert!(sure == 0, "{sure}");
-    // In two of the four directions a contact is followed as well as in sweeps; 0 deg has 0.75 mm (0.35 while the zero was fitted, too), and the
+    // In two of the four directions a contact is followed as well as in sweeps; 0 deg has 0.75 mm (0.35 with an earlier fit; the cause is not known), and the
     // fourth meets edges from behind.
     medians.sort_by(f64::total_cmp);
     assert!(medians[1] < 0.5 && medians[2] < 0.9, "{medians:?}");

@@ -110,7 +110,7 @@ fn sweeps_of_foreign_wires_are_followed_and_their_regions_hold() {
     let (followed, others) = (of(true, false), of(false, false));
     let sure = found.iter().filter(|f| f.3.sure()).count();
     println!("{sure} of {} sure: {}; the others: {}", found.len(), said(&followed), said(&others));
-    // Five of eight; six while the errors that all readings share were fitted.
+    // Five of eight; six with an earlier fit.
     assert!(sure * 2 > found.len(), "{sure}");
     let [median, rms, held, inside] = summary(&followed);
     // A regression limit: these seeds had 0.39 and 0.78 mm at first sight.

@@ -60,7 +60,7 @@ impl ObjectJudgement {
         })
     }
 
-    /// Whether moments, motion and object belong together as far as can be told; rows of others are flagged.
+    /// Whether moments, motion and object belong together as far as the object shows; rows of others are flagged.
     #[must_use]
     pub fn agrees(&self) -> bool {
         self.refuted == Some(false)

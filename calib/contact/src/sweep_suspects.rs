@@ -109,6 +109,6 @@ pub fn sentence(all: &[Suspect]) -> String {
                moments of another whisker, another wire or another object"
             .to_owned(),
         [one] => format!("{one} would explain it"),
-        _ => format!("each would explain it, and this sweep cannot tell them apart: {}", explain.join("; ")),
+        _ => format!("each would explain it, and this sweep cannot distinguish them: {}", explain.join("; ")),
     }
 }

@@ -110,7 +110,7 @@ fn sweeps_of_foreign_wires_are_followed_and_their_regions_hold() {
     let (followed, others) = (of(true, false), of(false, false));
     let sure = found.iter().filter(|f| f.3.sure()).count();
     println!("{sure} of {} sure: {}; the others: {}", found.len(), said(&followed), said(&others));
-    // Five of eight; six with an earlier fit.
+    // Five of eight on these seeds; seven of eight were on seeds 300 to 307, before answers with gaps in the surface were not sure any more.
     assert!(sure * 2 > found.len(), "{sure}");
     let [median, rms, held, inside] = summary(&followed);
     // A regression limit: these seeds had 0.39 and 0.78 mm at first sight.
@@ -143,9 +143,8 @@ fn a_contact_is_followed_past_a_slip() {
             said(rows)
         );
     }
-    // A slip is one where it makes the answer sure: in two of the three.
-    assert!(all.iter().all(|a| a.2.slips.len() == usize::from(a.2.sure())));
-    assert!(all.iter().filter(|a| a.2.sure()).count() >= 2 && all.iter().all(|a| a.3 == 0));
+    assert!(all.iter().all(|a| a.2.slips.len() == 1));
+    assert!(all.iter().all(|a| a.3 == 0));
     let pooled: Vec<_> = all.iter().flat_map(|a| a.1.clone()).collect();
     let [median, ..] = summary(&pooled);
     assert!(pooled.len() > 200 && median < 0.6, "{median}");

@@ -86,8 +86,9 @@ pub(super) struct Chain<'a> {
     /// Way of the object from the reading before, mm.
     pub step_mm: Vec<f64>,
     pub ends: Ends,
-    /// Common unknowns of the moments.
+    /// Common unknowns of the moments, and which of them are constants.
     pub shared: usize,
+    constant: Vec<bool>,
     /// Friction coefficient.
     pub friction: f64,
     /// Whether friction follows the slip, or is that of a contact that slides toward the tip.
@@ -96,9 +97,9 @@ pub(super) struct Chain<'a> {
     pub heavy: bool,
 }
 
-/// What becomes of the errors that all readings share. A surface of which nothing is known takes up any gain of the moments, so that a fit
-/// learns none of it: the path is fitted with these errors at their mean (S. F. Schmidt's considered parameters, Adv. Control Syst. 3 (1966)
-/// 293), and their whole prior is in its covariance.
+/// What becomes of the errors that all readings share and that change with the load. A surface of which nothing is known takes up any gain of
+/// the moments, so that a fit learns none of it: the path is fitted with these errors at their mean (S. F. Schmidt's considered parameters,
+/// Adv. Control Syst. 3 (1966) 293), and their whole prior is in its covariance. A constant, the zero, shows at first touch and is fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Common {
     Held,
@@ -107,6 +108,15 @@ pub(super) enum Common {
 
 /// Weight that holds a common unknown at its mean.
 const HELD: f64 = 1e12;
+/// A column that changes by less than this share of its size is a constant.
+const CONSTANT: f64 = 1e-3;
+
+/// Whether a common unknown is the same error in every reading.
+fn is_constant(rows: &[MotionRow], j: usize) -> bool {
+    let of = |k: usize| Vector2::from(rows[k].shared_nmm[j]);
+    let largest = (0..rows.len()).map(|k| of(k).norm()).fold(0.0, f64::max);
+    (0..rows.len()).all(|k| (of(k) - of(0)).norm() <= CONSTANT * largest)
+}
 
 impl<'a> Chain<'a> {
     pub fn new(wire: &'a TouchedWire, rows: &'a [MotionRow], ends: Ends) -> Self {
@@ -131,6 +141,7 @@ impl<'a> Chain<'a> {
             step_mm: (0..rows.len()).map(step).collect(),
             ends,
             shared,
+            constant: (0..shared).map(|j| is_constant(rows, j)).collect(),
             friction: 0.0,
             heavy: true,
             by_slip: false,
@@ -321,12 +332,9 @@ impl<'a> Chain<'a> {
                 }
             }
         }
-        let prior = match common {
-            Common::Held => HELD,
-            Common::Free => 1.0,
-        };
         for n in 0..self.shared {
-            normal.add(prior, c[n], &[], &[(n, 1.0)]);
+            let held = common == Common::Held && !self.constant[n];
+            normal.add(if held { HELD } else { 1.0 }, c[n], &[], &[(n, 1.0)]);
         }
         normal
     }

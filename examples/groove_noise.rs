@@ -10,7 +10,8 @@
 
 use anyhow::{Context, Result, bail};
 use wcal_calibration::WhiskerCalibration;
-use wcal_contact::session_groove::{Compared, track};
+use wcal_contact::groove_comparison::Compared;
+use wcal_contact::session_groove::track;
 use wcal_core::SessionData;
 use wcal_core::verify_document::Verdict;
 use wcal_exam::clopper_pearson;

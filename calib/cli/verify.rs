@@ -19,6 +19,7 @@ use text::{predictions_csv, scalar_csv};
 use wcal_calibration::{
     CalibrationModel, GivenCalibration, SessionSystem, WhiskerCalibration, WireParts, provenance, seal,
 };
+use wcal_contact::groove_comparison;
 use wcal_contact::session_groove;
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::sweep_verify::verify_with_sweep;
@@ -254,7 +255,7 @@ pub fn verify_session(
         _ => false,
     };
     if let Some(model) = model.filter(|_| verified) {
-        let contact = report.verify.groove_tracking.as_ref().and_then(session_groove::calibration_contact);
+        let contact = report.verify.groove_tracking.as_ref().and_then(groove_comparison::calibration_contact);
         let wire = match &session.data {
             SessionData::Whisker(data) => {
                 Some(WireParts { whisker: &data.whisker, moments: &data.moments, contact })
@@ -335,7 +336,7 @@ fn groove_tracking(done: &WhiskerVerification) -> anyhow::Result<Option<GrooveTr
     let (any, split) = if sealed.contains(&true) { (true, "holdout") } else { (false, "fit") };
     let tracked = session_groove::track(whole, motion, |i| sealed[i] == any)?;
     let compared = tracked.compared(whole, |i| whole.row(i).groove_mm)?;
-    Ok(session_groove::groove_tracking(&compared, split))
+    Ok(groove_comparison::groove_tracking(&compared, split))
 }
 
 fn of_scalar_session(

@@ -3,7 +3,7 @@
 use crate::simulated::word;
 use std::fmt::Write as _;
 use std::path::Path;
-use wcal_contact::session_groove::groove_sentence;
+use wcal_contact::groove_comparison::groove_sentence;
 use wcal_core::ResidualRecord;
 use wcal_report::ReportInput;
 use wcal_trace::scalar::ScalarData;

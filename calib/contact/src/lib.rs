@@ -14,6 +14,7 @@ pub mod contact_history;
 mod error;
 pub mod estimator;
 pub mod frame;
+pub mod groove_comparison;
 pub mod groove_table;
 pub mod known_groove;
 pub mod known_motion;

@@ -143,11 +143,11 @@ pub fn in_class(system: &dyn MeasurementModel, found: &SearchResult) -> Vec<bool
     found.survivors.iter().map(|h| like(h) > CLASS_COSINE).collect()
 }
 
-/// Cosine and lag in the criterion up to which a law of a measured column and one of another are not told apart by their misfit.
+/// Cosine and lag in the criterion up to which a law of a measured column and one of another are not distinguished by their misfit.
 const MEASURED_COSINE: f64 = 0.97;
 const MEASURED_BEHIND: f64 = 20.0;
 
-/// Whether `h`, which is `behind` the best explanation in the criterion, is not told from it because one of them follows a temperature: that is
+/// Whether `h`, which is `behind` the best explanation in the criterion, is not distinguished from it because one of them follows a temperature: that is
 /// measured itself, and the comparison takes columns for exact. Over minutes a room that warms steadily is as good as a clock.
 #[must_use]
 pub fn not_told(

@@ -7,6 +7,7 @@
 //! What all readings share and no number of them averages out (the alignment of two clocks) is added in squares.
 
 use super::session_model::SessionModel;
+use crate::effect::{EffectTerm, Parameter, Role};
 use crate::method::fit::Fit;
 use crate::method::omnibus::{CATALOGUE_LEVEL, OmnibusTest};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -81,6 +82,10 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
             let row = entry("testable", Some(s.size), s.unit, why);
             Detectable { smallest_without_pictures: by_readings, ..row }
         }
+        None if !has_answer(model, fit, effect) => {
+            let why = "the model has no answer with it at some of the poses";
+            entry("not-observable", None, unit, why.into())
+        }
         None => {
             let why = format!(
                 "not identifiable: fully absorbed by {} and the accepted effects, so that it neither harms nor shows here",
@@ -89,6 +94,19 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
             entry("absorbed", None, unit, why)
         }
     }
+}
+
+/// Whether the model has an answer for every reading with some law of the effect at its typical size.
+fn has_answer<M: SessionModel>(model: &M, fit: &Fit, effect: usize) -> bool {
+    let typical = |p: &Parameter| match p.role {
+        Role::Amplitude { probe } => probe,
+        Role::Shape { grid } => grid.first().copied().unwrap_or(0.0),
+    };
+    model.catalogue()[effect].laws().iter().enumerate().any(|(law, l)| {
+        let term = EffectTerm { effect, law, values: l.parameters.iter().map(typical).collect() };
+        let terms: Vec<EffectTerm> = fit.terms.iter().cloned().chain([term]).collect();
+        model.design(&terms).is_some()
+    })
 }
 
 /// By the plainest law that this session can show, at the shape that it shows best.

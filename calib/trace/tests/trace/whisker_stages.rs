@@ -136,6 +136,20 @@ fn every_effect_has_a_line_saying_what_could_have_been_seen() {
     assert!(table.iter().all(|d| !d.why.is_empty()));
 }
 
+/// Deep poses of the paper's measured session have no equilibrium with a tangential force of 0.72 of the normal one; those with the friction of a groove have one.
+#[test]
+fn friction_is_tested_on_poses_that_more_friction_would_lose() {
+    let data = data("whiskerfbg");
+    let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
+    let system = system_of(&data, &rows);
+    let effect = system.effects().iter().position(|e| e.id() == "groove-friction").unwrap();
+    let moments = |mu: f64| system.moments(&[EffectTerm { effect, law: 0, values: vec![mu] }]).map(|m| m.1);
+    let [without, with] = [0.0, 0.2].map(|mu| moments(mu).unwrap());
+    let change = |k: usize| (0..2).map(|c| (with[k][c] - without[k][c]).abs()).fold(0.0, f64::max);
+    let largest = (0..with.len()).map(change).fold(0.0, f64::max);
+    assert!((0.02..0.2).contains(&largest), "{largest}");
+}
+
 // Unsealing.
 
 #[test]

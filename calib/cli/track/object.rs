@@ -90,7 +90,7 @@ impl PassedObject {
     pub fn known(&self, radius_mm: f64, agrees: bool) -> Result<Option<(KnownObject, Flags)>> {
         let Some(world_from_object) = self.sweep.world_from_object else { return Ok(None) };
         let flags = if agrees { Flags::default() } else { Flags::OBJECT_DISAGREES };
-        Ok(Some((KnownObject { mesh: self.mesh()?, world_from_object, radius_mm }, flags)))
+        Ok(Some((KnownObject::new(self.mesh()?, world_from_object, radius_mm)?, flags)))
     }
 
     /// Scores contacts in the frame of the base's poses; none where there are too few.
@@ -100,7 +100,7 @@ impl PassedObject {
     pub fn score(&self, contacts_mm: &[Vector3<f64>], radius_mm: f64) -> Result<Option<MeshScore>> {
         Ok(match self.known(radius_mm, true)? {
             Some((object, _)) => object.score(contacts_mm),
-            None => placed_score(contacts_mm, &self.mesh()?),
+            None => placed_score(contacts_mm, &self.mesh()?.outside()?),
         })
     }
 }
@@ -132,8 +132,11 @@ pub fn say_object_score(score: Option<&MeshScore>) {
         None => "; its place was fitted to them (six numbers: --object-pose takes it where it is known)"
             .to_owned(),
     };
+    let any_face = s.any_face.map_or_else(String::new, |any| {
+        format!("; from the nearest of all its faces, inner walls included, {:.2} in the mean", any.mean_mm)
+    });
     eprintln!(
-        "{} contacts lie {:.2} mm RMS from the object's mesh (mean {:.2}, median {:.2}, 95 % below {:.2}){placed}",
+        "{} contacts lie {:.2} mm RMS from the outside of the object's mesh (mean {:.2}, median {:.2}, 95 % below {:.2}{any_face}){placed}",
         s.points, d.rmse_mm, d.mean_mm, d.median_mm, d.p95_mm
     );
 }

@@ -123,7 +123,7 @@ impl SweepWitness {
         let frame =
             WireFrame::new(declared, axes).map_err(|e| ContactError::value(e.key, e.expected, e.found))?;
         let whisker = frame.whisker(declared);
-        let (id, mesh) = (session.id.clone(), Mesh::read(object)?);
+        let (id, mesh) = (session.id.clone(), Mesh::read(object)?.outside()?);
         let (poses, inverse) = (poses.max(1), OnceLock::new());
         Ok(Self { id, mesh, world_from_object, frame, whisker, poses, session, inverse })
     }

@@ -14,6 +14,7 @@ mod error;
 mod grid;
 pub mod mesh;
 pub mod objects;
+mod outside;
 pub mod physics;
 pub mod read;
 pub mod recipe;

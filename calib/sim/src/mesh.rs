@@ -9,7 +9,7 @@ use crate::grid::Grid;
 use crate::stl::{MAX_TRIANGLES, Stl};
 use nalgebra::{Matrix3, Vector3};
 use parry3d_f64::math::Vector as Place;
-use parry3d_f64::query::{PointProjection, PointQueryWithLocation};
+use parry3d_f64::query::{PointProjection, PointQueryWithLocation, Ray, RayCast};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags, TrianglePointLocation};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -167,6 +167,11 @@ impl Mesh {
         self.points().for_each(|p| p.iter().for_each(|x| bytes.extend(x.to_le_bytes())));
         self.triangles().iter().flatten().for_each(|k| bytes.extend(k.to_le_bytes()));
         sha256_hex(&bytes)
+    }
+
+    /// Whether a ray meets the surface.
+    pub(crate) fn meets(&self, from: &Vector3<f64>, direction: &Vector3<f64>) -> bool {
+        self.surface.intersects_local_ray(&Ray::new(place(from), place(direction)), f64::MAX)
     }
 
     /// Distance wherever the point is.

@@ -9,5 +9,6 @@
 )]
 
 mod dataset;
+mod outside;
 mod physics;
 mod sweeps;

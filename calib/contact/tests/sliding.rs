@@ -137,10 +137,10 @@ fn a_sliding_contact_is_followed_in_any_direction() {
     // A track that turns back is never sure: some contacts are lost, and the regions say so. How narrow they are where the answer is sure, and how
     // near the truth, is tested in sliding_sweeps.rs.
     assert!(sure == 0, "{sure}");
-    // In two of the four directions a contact is followed as well as in sweeps; 0 deg has 0.81 mm (0.35 with an earlier fit; the cause is not known), and the
-    // fourth meets edges from behind.
+    // In three of the four directions (the fourth meets edges from behind) a contact is followed as well as in sweeps. With hypotheses of friction that
+    // go on to another surface where the motion turns back, 0 deg had 0.81 mm.
     medians.sort_by(f64::total_cmp);
-    assert!(medians[1] < 0.5 && medians[2] < 0.9, "{medians:?}");
+    assert!(medians[2] < 0.6, "{medians:?}");
     // A wrong motion is supported in three of 22, the true one in 18.
     assert!(supported * 10 >= all * 6 && reversed_supported * 7 <= all, "{supported} {reversed_supported}");
     // Readings of a track share their errors: some 20 tracks determine the coverage to a few per cent.

@@ -231,6 +231,7 @@ impl Part {
             || hypotheses(wire, &reversed(&means), ends, &FRICTIONS[..1]),
         );
         let reversed_cost = control.iter().map(|h| h.cost).fold(f64::INFINITY, f64::min);
+        let hypotheses = of_one_surface(hypotheses, means.len());
         (!hypotheses.is_empty()).then_some(Self { hypotheses, reversed_cost, count: means.len(), at })
     }
 
@@ -252,6 +253,16 @@ impl Part {
         let weight = |h: &Hypothesis| (-DISCOUNT * (h.cost - self.cost())).exp();
         self.hypotheses.iter().map(|h| (weight(h), between(&h.blocks, block, share))).collect()
     }
+}
+
+/// Without those that go on to another surface, where one without a gap explains the readings: heavy tails make a gap cheap, and a wrong friction
+/// buys one where the motion turns back.
+fn of_one_surface(mut all: Vec<Hypothesis>, blocks: usize) -> Vec<Hypothesis> {
+    let whole = |h: &Hypothesis| h.gaps <= MAX_GAPS;
+    if all.iter().any(|h| whole(h) && h.cost <= SURE_COST * blocks as f64) {
+        all.retain(whole);
+    }
+    all
 }
 
 /// First and last of the readings that are loaded, each with a neighbour that is, too.

@@ -1,4 +1,5 @@
-//! Contacts of a stream along a known motion, reading by reading: episodes and recursive posterior ([`ContactStream`]); no network.
+//! Contacts of a stream along a known motion, reading by reading: episodes and recursive posterior ([`ContactStream`]); no network. Where no fixed
+//! point of the object explains the moments any more, the contact is followed as one that slides ([`SlidingStream`]), as in a table.
 //!
 //! Noise: a row's own is that of the no-contact prefix through the filter; the calibration's noise from pose to pose is a draw that rows of
 //! one pose share, forgotten over half a millimetre (an assumption); the zero is another two unknowns of all rows ([`crate::zero`]).
@@ -6,19 +7,26 @@
 use crate::ContactError;
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
 use crate::known_motion::contact_stream::FinishedEpisode;
-use crate::known_motion::{ContactStream, CorrelatedNoise, Disagreement, MomentField, MotionRow, Settings};
+use crate::known_motion::{
+    ContactStream, CorrelatedNoise, Disagreement, EpisodeContact, MomentField, MotionRow, Region, Settings,
+    StreamedContact,
+};
 use crate::reading::{Moments, Reading, RowMotion};
+use crate::sliding::{SlidingStream, TouchedWire};
 use crate::static_arc::StaticArc;
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
 use nalgebra::Matrix2;
 use std::sync::Arc;
 use wcal_core::WhiskerSpec;
+use wcal_core::observation::MomentAxes;
 use wcal_core::stream::Flags;
 
 /// Displacement over which a draw of the noise from pose to pose is forgotten, mm. An assumption.
 const POSE_MM: f64 = 0.5;
 /// Share of the noise from pose to pose that a row has for itself where no prefix was measured. An assumption, as for the filters.
 const WHITE: f64 = 0.2;
+/// Rows of a contact that are kept for the case that it slides later.
+const MOST_BEFORE: usize = 4096;
 /// A contact goes on over rows without moments or motion for so long, s: the displacement is known again after them.
 const MAX_LOST_S: f64 = 1.0;
 
@@ -39,6 +47,11 @@ pub struct KnownMotionStream {
     stream: Option<ContactStream>,
     /// For loaded rows whose motion is not known.
     alone: StaticArc,
+    whisker: WhiskerSpec,
+    /// The contact at hand: its number, its loaded rows until it slides, and what follows it then.
+    touch: Option<(u64, Vec<MotionRow>)>,
+    sliding: Option<SlidingStream>,
+    slid: u64,
     rows: u64,
     disagreeing: u64,
     /// The last row with moments and motion, s.
@@ -55,6 +68,10 @@ impl KnownMotionStream {
             accuracy,
             stream: None,
             alone: StaticArc::new(whisker),
+            whisker: whisker.clone(),
+            touch: None,
+            sliding: None,
+            slid: 0,
             rows: 0,
             disagreeing: 0,
             last_s: None,
@@ -94,13 +111,61 @@ impl KnownMotionStream {
         let found = stream.push(&reading, motion.piece, motion.push)?;
         let flags = if found.disagrees { Flags::MOTION_DISAGREES } else { Flags::default() };
         self.disagreeing += u64::from(found.disagrees);
+        // Without a noise of its own a row of a sliding contact has that from pose to pose.
+        let reading = MotionRow { noise_nmm2: m.own_nmm2.unwrap_or(pose_nmm2), ..reading };
+        if let Some((place, regions)) = self.slide(&reading, &found)? {
+            self.slid += 1;
+            let flags = flags.with(Flags::SLIDING_ASSUMED);
+            return Ok(Contact {
+                estimate: ContactEstimate::of_place(&place),
+                flags,
+                regions,
+                on_object: true,
+                ..Contact::default()
+            });
+        }
         let estimate = found.place.as_ref().and_then(ContactEstimate::of_place);
         let on_object = found.place.is_some_and(|p| p.contact >= TOUCHED);
         Ok(Contact { estimate, flags, regions: found.regions, on_object, ..Contact::default() })
     }
 
+    /// The contact as one that slides, from where no fixed point explains it on; none before, and where no such contact explains it either.
+    fn slide(
+        &mut self,
+        row: &MotionRow,
+        found: &StreamedContact,
+    ) -> Result<Option<(EpisodeContact, Vec<Region>)>, ContactError> {
+        if self.touch.as_ref().map(|t| t.0) != found.episode {
+            (self.touch, self.sliding) = (found.episode.map(|number| (number, Vec::new())), None);
+        }
+        let Some((_, before)) = self.touch.as_mut().filter(|_| found.loaded) else { return Ok(None) };
+        if self.sliding.is_none() && !found.disagrees {
+            // Of a long press the first rows say where a contact that slides later began.
+            if before.len() < MOST_BEFORE {
+                before.push(row.clone());
+            }
+            return Ok(None);
+        }
+        let sliding = match &mut self.sliding {
+            Some(sliding) => sliding,
+            none => {
+                let wire = TouchedWire::new(&self.whisker, &MomentAxes::default())?;
+                none.insert(SlidingStream::new(wire, &std::mem::take(before)))
+            }
+        };
+        let place = sliding.push(row);
+        Ok(place.filter(|_| sliding.explains()))
+    }
+
     fn messages(&self) -> Vec<Message> {
         let mut all = Vec::new();
+        if self.slid > 0 {
+            all.push(Message::warning(format!(
+                "{} of {} rows: no fixed point of the object explains the moments, a contact that slides does, as it does where motion or calibration \
+                 are wrong; marked sliding-assumed in status",
+                self.slid, self.rows
+            )));
+        }
         let lost: u64 = self.alone.lost().values().sum();
         if lost > 0 {
             let why: Vec<String> = self.alone.lost().iter().map(|(name, n)| format!("{name} {n}")).collect();

@@ -4,11 +4,15 @@
 
 use nalgebra::{Matrix2, Rotation3, Vector2, Vector3};
 use rayon::prelude::*;
-use std::sync::LazyLock;
-use wcal_contact::known_motion::MotionRow;
+use std::sync::{Arc, LazyLock};
+use wcal_contact::estimator::{Contact, Estimator};
+use wcal_contact::known_motion::{Friction, MomentField, MotionRow};
+use wcal_contact::known_motion_stream::{KnownMotionStream, MotionAccuracy};
+use wcal_contact::reading::{Moments, Reading, RowMotion};
 use wcal_contact::sliding::{SlidingContact, TouchedWire, locate_sliding};
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
-use wcal_plant::sweep::SweepCase;
+use wcal_core::stream::Flags;
+use wcal_plant::sweep::{SweepCase, SweepReading};
 
 /// Sweeps that the model was not made on: those were 0 to 39.
 const SEEDS: std::ops::Range<u64> = 500..508;
@@ -20,6 +24,11 @@ const DRIFT_NMM: f64 = 0.003;
 const MAP_SHARE: f64 = 0.003;
 /// Rounding of a region's end at the tip, mm.
 const ROUNDING_MM: f64 = 1e-9;
+/// Short ones of them, for a stream: each reading takes the time of a fit.
+const STREAMED: std::ops::Range<usize> = 4..7;
+/// Mesh of the rod of a field, mm, and what is assumed of the motion.
+const MESH_MM: f64 = 2.0;
+const ACCURACY: MotionAccuracy = MotionAccuracy { moved_sd_mm: 0.005, clock_sd_s: 0.001 };
 /// By how much the truth of the control is shifted along the wire, mm.
 const SHIFT_MM: f64 = 4.0;
 
@@ -58,21 +67,61 @@ fn rows(case: &SweepCase, way: f64) -> Vec<MotionRow> {
 }
 
 fn wire(case: &SweepCase) -> TouchedWire {
+    TouchedWire::new(&whisker(case), &MomentAxes::default()).unwrap()
+}
+
+fn whisker(case: &SweepCase) -> WhiskerSpec {
     let b = &case.scene.bench;
     let rest_shape = RestShape::StraightArc {
         straight_mm: b.straight_mm,
         arc_radius_mm: b.arc_radius_mm,
         length_mm: b.length_mm,
     };
-    let whisker = WhiskerSpec {
+    WhiskerSpec {
         diameter_mm: b.diameter_mm,
         youngs_gpa: b.youngs_gpa,
         shear_gpa: b.shear_gpa,
         density_kg_m3: None,
         rest_shape,
         gravity_direction: None,
-    };
-    TouchedWire::new(&whisker, &MomentAxes::default()).unwrap()
+    }
+}
+
+/// Rows as a stream's readings.
+fn readings(rows: &[MotionRow]) -> impl Iterator<Item = Reading> + '_ {
+    rows.iter().enumerate().map(|(k, row)| {
+        let zero = Matrix2::from_columns(&[row.shared_nmm[0].into(), row.shared_nmm[1].into()]);
+        let moments = Moments {
+            moment_nmm: row.moment_nmm,
+            sd_nmm: [0.0; 2],
+            valid: true,
+            pose_nmm2: row.noise_nmm2,
+            own_nmm2: Some(row.noise_nmm2),
+            drift_nmm2: Matrix2::zeros(),
+            zero_nmm2: zero * zero.transpose(),
+            shared_nmm: row.shared_nmm[2..].to_vec(),
+        };
+        let motion = RowMotion {
+            moved_mm: row.moved_mm,
+            turn: row.turn,
+            velocity_mm_s: row.velocity_mm_s,
+            piece: 0,
+            push: None,
+        };
+        Reading {
+            point: k as i64,
+            t_s: row.t_s,
+            flags: Flags::default(),
+            moments: Some(moments),
+            motion: Ok(motion),
+            base: None,
+            base_mm_s: None,
+            velocity_mm_s: None,
+            touching: None,
+            in_prefix: false,
+            gap: false,
+        }
+    })
 }
 
 /// Errors in space (mm), whether the region along the wire holds the truth shifted by `shift_mm`, and whether the ellipsoid in space holds the
@@ -171,6 +220,50 @@ fn a_wrong_motion_is_worse_than_the_true_one() {
     let all: Vec<_> = followed()[..4].par_iter().map(one).collect();
     println!("{all:?}");
     assert!(all.iter().filter(|a| a.0 && a.1).count() >= 3 && all.iter().all(|a| !(a.1 && a.2)));
+}
+
+/// What the stream knows at each reading: once no fixed point explains the moments, the contact is followed as one that slides. The motion reversed: it is not.
+#[test]
+fn a_stream_follows_a_contact_that_slides() {
+    let one = |(case, _): &(SweepCase, SlidingContact)| {
+        let whisker = whisker(case);
+        let stream = |way: f64| {
+            let rod = wcal_rod::Rod::new(&whisker, MESH_MM).unwrap();
+            let field = Arc::new(MomentField::new(&rod, &MomentAxes::default(), Friction::NONE));
+            let mut stream = KnownMotionStream::new(field, &whisker, ACCURACY);
+            let push = |r: Reading| stream.push(&r).unwrap().remove(0);
+            readings(&rows(case, way)).map(push).collect::<Vec<Contact>>()
+        };
+        let slid = |all: &[Contact]| -> Vec<f64> {
+            let error = |(c, r): (&Contact, &SweepReading)| {
+                let at = c.estimate.filter(|_| c.flags.has(Flags::SLIDING_ASSUMED))?.place_mm;
+                Some((at - r.touch?.axis_mm).norm())
+            };
+            all.iter().zip(&case.readings).filter_map(error).collect()
+        };
+        (slid(&stream(1.0)), slid(&stream(-1.0)))
+    };
+    let streamed = &followed()[STREAMED];
+    let all: Vec<_> = streamed.iter().map(one).collect();
+    let pooled = |of: fn(&(Vec<f64>, Vec<f64>)) -> &Vec<f64>| {
+        let mut errors: Vec<f64> = all.iter().flat_map(|a| of(a).clone()).collect();
+        errors.sort_by(f64::total_cmp);
+        errors
+    };
+    let (right, reversed) = (pooled(|a| &a.0), pooled(|a| &a.1));
+    let median = |errors: &[f64]| errors.get(errors.len() / 2).copied().unwrap_or(f64::INFINITY);
+    let touching: usize =
+        streamed.iter().map(|f| f.0.readings.iter().filter(|r| r.touch.is_some()).count()).sum();
+    println!(
+        "SIMULATED: {} of {touching} readings slide, median {:.2} mm; the motion reversed {}, {:.2} mm",
+        right.len(),
+        median(&right),
+        reversed.len(),
+        median(&reversed)
+    );
+    assert!(right.len() * 2 > touching && median(&right) < 1.0);
+    // Control: with the motion reversed.
+    assert!(median(&reversed) > 3.0 * median(&right));
 }
 
 fn summary(rows: &[(f64, bool, bool)]) -> [f64; 4] {

@@ -114,7 +114,8 @@ impl Normal {
             *band.at(i, i) = *band.at(i, i) * (1.0 + damping) + 1e-12;
             for j in band.first(i)..=i {
                 let from = band.first(i);
-                let sum: f64 = band.row(i, from, j).iter().zip(band.row(j, from, j)).map(|(a, b)| a * b).sum();
+                let sum: f64 =
+                    band.row(i, from, j).iter().zip(band.row(j, from, j)).map(|(a, b)| a * b).sum();
                 let value = *band.at(i, j) - sum;
                 *band.at(i, j) = if j < i {
                     value / *band.at(j, j)

@@ -4,7 +4,7 @@ use crate::known_motion::MotionRow;
 use nalgebra::{Matrix2, Vector3};
 
 /// Way of the object over a block, mm.
-const STEP_MM: f64 = 0.7;
+pub(super) const STEP_MM: f64 = 0.7;
 
 /// A reading at an end lies up to this many steps past the middle of the last block.
 const PAST: f64 = 0.7;
@@ -34,7 +34,7 @@ pub(super) fn blocks(rows: &[MotionRow]) -> (Vec<MotionRow>, Vec<(usize, f64)>) 
     (means, places)
 }
 
-fn mean(rows: &[MotionRow]) -> MotionRow {
+pub(super) fn mean(rows: &[MotionRow]) -> MotionRow {
     let n = rows.len() as f64;
     let of = |value: &dyn Fn(&MotionRow) -> f64| rows.iter().map(value).sum::<f64>() / n;
     let middle = &rows[rows.len() / 2];

@@ -187,9 +187,7 @@ pub(super) fn candidates(wire: &TouchedWire, rows: &[MotionRow]) -> Vec<Vec<Cand
     for row in rows {
         let moment = Vector2::from(row.moment_nmm);
         for (state, q) in last.iter_mut().zip(&places) {
-            *state = wire
-                .frictionless(*q, &moment, *state)
-                .or_else(|| wire.frictionless(*q, &moment, None));
+            *state = wire.frictionless(*q, &moment, *state).or_else(|| wire.frictionless(*q, &moment, None));
         }
         for (state, low) in high.iter_mut().zip(&last) {
             *state = low.as_ref().and_then(|low| wire.past_fold(low, &moment));

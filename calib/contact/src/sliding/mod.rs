@@ -39,8 +39,10 @@ mod factors;
 mod first_path;
 mod slips;
 mod smooth;
+mod stream;
 
 pub use contact_state::TouchedWire;
+pub use stream::SlidingStream;
 
 use crate::arc::arclength_regions;
 use crate::known_motion::contact_path::loaded;
@@ -250,7 +252,7 @@ impl Part {
             || hypotheses(&Chain::new(wire, &reversed(&means), ends), &contacts, &FRICTIONS[..1]),
         );
         let reversed_cost = control.iter().map(|h| h.cost).fold(f64::INFINITY, f64::min);
-        let hypotheses = of_one_surface(hypotheses, means.len());
+        let hypotheses = of_one_surface(hypotheses, means.len(), |h| h);
         (!hypotheses.is_empty()).then_some(Self { hypotheses, reversed_cost, count: means.len(), at })
     }
 
@@ -276,10 +278,10 @@ impl Part {
 
 /// Without those that go on to another surface, where one without a gap explains the readings: heavy tails make a gap cheap, and a wrong friction
 /// buys one where the motion turns back.
-fn of_one_surface(mut all: Vec<Hypothesis>, blocks: usize) -> Vec<Hypothesis> {
+fn of_one_surface<T>(mut all: Vec<T>, blocks: usize, of: impl Fn(&T) -> &Hypothesis) -> Vec<T> {
     let whole = |h: &Hypothesis| h.gaps <= MAX_GAPS;
-    if all.iter().any(|h| whole(h) && h.cost <= SURE_COST * blocks as f64) {
-        all.retain(whole);
+    if all.iter().map(&of).any(|h| whole(h) && h.cost <= SURE_COST * blocks as f64) {
+        all.retain(|h| whole(of(h)));
     }
     all
 }
@@ -316,7 +318,7 @@ fn hypotheses(chain: &Chain<'_>, contacts: &[Vec<Candidate>], frictions: &[f64])
         let both = found.iter().zip(frictions).filter_map(|(found, mu)| {
             chain.friction = *mu;
             let gaps = chain.gaps(&found.x, &found.common);
-            Some(Hypothesis { cost: found.cost, gaps, blocks: posterior(&chain, found)? })
+            Some(Hypothesis { cost: found.cost, gaps, blocks: posterior(&chain, found, 0..found.x.len())? })
         });
         both.collect::<Vec<_>>()
     };

@@ -3,6 +3,7 @@
 use super::contact_state::{STATE, State};
 use super::factors::{Chain, Common};
 use nalgebra::{DVector, Matrix3, SMatrix, Vector3};
+use std::ops::Range;
 
 /// Iterations of a descent, and the improvement at which it ends.
 const MAX_STEPS: usize = 30;
@@ -51,7 +52,13 @@ pub(super) fn smooth(chain: &mut Chain<'_>, first: Vec<State>, frictions: &[f64]
     found
 }
 
-fn descend(chain: &mut Chain<'_>, from: Smoothed, friction: f64, by_slip: bool, heavy: bool) -> Smoothed {
+pub(super) fn descend(
+    chain: &mut Chain<'_>,
+    from: Smoothed,
+    friction: f64,
+    by_slip: bool,
+    heavy: bool,
+) -> Smoothed {
     (chain.friction, chain.by_slip, chain.heavy) = (friction, by_slip, heavy);
     let cost = chain.cost(&from.x, &from.common);
     let mut here = Smoothed { cost, ..from };
@@ -85,11 +92,15 @@ fn descend(chain: &mut Chain<'_>, from: Smoothed, friction: f64, by_slip: bool, 
     here
 }
 
-/// The posterior at each block, by the curvature of the sum of squares; none where it has none.
-pub(super) fn posterior(chain: &Chain<'_>, found: &Smoothed) -> Option<Vec<BlockPosterior>> {
+/// The posterior at some blocks, by the curvature of the sum of squares; none where it has none.
+pub(super) fn posterior(
+    chain: &Chain<'_>,
+    found: &Smoothed,
+    blocks: Range<usize>,
+) -> Option<Vec<BlockPosterior>> {
     let factored = chain.linearise(&found.x, &found.common, Common::Free).factor(0.0)?;
-    let of = |(k, x): (usize, &State)| {
-        let (y, rates) = chain.wire.rates(x);
+    let of = |k: usize| {
+        let (y, rates) = chain.wire.rates(&found.x[k]);
         let own = factored.covariance(STATE * k, STATE);
         let own = SMatrix::<f64, STATE, STATE>::from_fn(|i, j| own[(i, j)]);
         let axis_mm = chain.wire.axis_mm(&y);
@@ -104,5 +115,5 @@ pub(super) fn posterior(chain: &Chain<'_>, found: &Smoothed) -> Option<Vec<Block
             sd_mm: own[(0, 0)].max(0.0).sqrt(),
         }
     };
-    Some(found.x.iter().enumerate().map(of).collect())
+    Some(blocks.map(of).collect())
 }

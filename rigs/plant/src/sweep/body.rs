@@ -86,7 +86,11 @@ fn ellipse(a: f64, b: f64, at: &Vector2<f64>) -> (f64, Vector2<f64>) {
     for _ in 0..60 {
         let (sin, cos) = t.sin_cos();
         let slope = (b * b - a * a) * sin * cos + p.x * a * sin - p.y * b * cos;
-        if slope < 0.0 { low = t } else { high = t }
+        if slope < 0.0 {
+            low = t
+        } else {
+            high = t
+        }
         let rate = (b * b - a * a) * (cos * cos - sin * sin) + p.x * a * cos + p.y * b * sin;
         let newton = t - slope / rate;
         let next = if rate > 0.0 && (low..=high).contains(&newton) { newton } else { 0.5 * (low + high) };

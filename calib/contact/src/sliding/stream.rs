@@ -1,0 +1,156 @@
+//! A sliding contact reading by reading: the smoother's paths, each drawn on by a block of readings at a time.
+//!
+//! ```text
+//! each block        the states of all blocks so far, from the last ones on (a few steps: only the newest is new)
+//! 4, 8, 16, ...     blocks: all paths and coefficients of friction anew; what was unlikely early may be the likeliest now
+//! dropped           weights below 1e-3 of the best, and all but eight
+//! ```
+//!
+//! A reading within a block that is not complete goes on from the last two. What comes later mends a contact's beginning; a filter cannot.
+
+use super::blocks::{STEP_MM, mean};
+use super::first_path::{candidates, first_paths};
+use super::smooth::{BlockPosterior, Smoothed, descend, posterior, smooth};
+use super::{Chain, Ends, Hypothesis, TouchedWire};
+use super::{DISCOUNT, FRICTIONS, LOST, MIN_BLOCKS, between, of_one_surface, place, regions};
+use crate::known_motion::{EpisodeContact, MotionRow, Region};
+use rayon::prelude::*;
+
+/// Blocks at which all paths are looked for anew: from so many on, at each doubling.
+const FIRST_SEARCH: usize = 4;
+/// Weight of a path, and number of them, that are followed.
+const LEAST_WEIGHT: f64 = 1e-3;
+const MOST_PATHS: usize = 8;
+/// Readings of a block, blocks of a contact, and steps that a reading lies past the last but one of its blocks, at most.
+const MOST_OPEN: usize = 64;
+const MOST_BLOCKS: usize = 200;
+const FARTHEST: f64 = 2.7;
+/// Nothing slips off while it is followed.
+const GOING_ON: Ends = Ends { from_free: true, slips_off: false };
+
+/// A path that is followed.
+struct Path {
+    friction: f64,
+    found: Smoothed,
+    hypothesis: Hypothesis,
+}
+
+/// Follows a contact from its first loaded reading on.
+pub struct SlidingStream {
+    wire: TouchedWire,
+    /// Blocks that are complete, and the readings of the one that is not.
+    means: Vec<MotionRow>,
+    open: Vec<MotionRow>,
+    /// Blocks that the paths go through.
+    solved: usize,
+    search_at: usize,
+    paths: Vec<Path>,
+}
+
+impl SlidingStream {
+    /// With the readings so far.
+    #[must_use]
+    pub fn new(wire: TouchedWire, rows: &[MotionRow]) -> Self {
+        let (means, open) = (Vec::new(), Vec::new());
+        let mut all = Self { wire, means, open, solved: 0, search_at: FIRST_SEARCH, paths: Vec::new() };
+        rows.iter().for_each(|row| all.keep(row));
+        all
+    }
+
+    /// Takes a loaded reading; its contact, and the 95 % regions along the wire, where some path explains the readings so far.
+    pub fn push(&mut self, row: &MotionRow) -> Option<(EpisodeContact, Vec<Region>)> {
+        self.keep(row);
+        if self.means.len() > MOST_BLOCKS {
+            return None;
+        }
+        if self.means.len() > self.solved && self.means.len() >= FIRST_SEARCH {
+            self.follow();
+        }
+        let [.., a, b] = &self.means[..self.solved] else { return None };
+        // As far as the object has gone on since.
+        let step = b.moved_mm - a.moved_mm;
+        let share = (row.moved_mm - a.moved_mm).dot(&step) / step.norm_squared();
+        let best = self.paths.iter().map(|p| p.hypothesis.cost).fold(f64::INFINITY, f64::min);
+        let weight = |p: &Path| (-DISCOUNT * (p.hypothesis.cost - best)).exp();
+        let at = |p: &Path| (weight(p), between(&p.hypothesis.blocks, 0, share.clamp(0.0, FARTHEST)));
+        let each: Vec<(f64, BlockPosterior)> = self.paths.iter().map(at).collect();
+        if each.is_empty() {
+            return None;
+        }
+        // Nothing is sure before the end is seen.
+        let lost = LOST * self.wire.length_mm.powi(2) / 12.0;
+        Some((place(&each, row, lost), regions(&each, self.wire.length_mm, LOST)))
+    }
+
+    /// Puts a reading into its block.
+    fn keep(&mut self, row: &MotionRow) {
+        if self.open.first().is_some_and(|first| (row.moved_mm - first.moved_mm).norm() >= STEP_MM) {
+            self.means.push(mean(&self.open));
+            self.open.clear();
+        }
+        // A long hold says no more.
+        if self.open.len() < MOST_OPEN {
+            self.open.push(row.clone());
+        }
+    }
+
+    /// Whether some path explains the readings so far.
+    #[must_use]
+    pub fn explains(&self) -> bool {
+        let best = self.paths.iter().map(|p| p.hypothesis.cost).fold(f64::INFINITY, f64::min);
+        self.solved >= MIN_BLOCKS && best <= super::MAX_COST * self.solved as f64
+    }
+
+    /// Draws the paths on to the newest block.
+    fn follow(&mut self) {
+        let blocks = self.means.len();
+        let searched = blocks >= self.search_at;
+        let chain = Chain::new(&self.wire, &self.means, GOING_ON);
+        let found: Vec<(f64, Smoothed)> = if searched || self.paths.is_empty() {
+            search(&chain)
+        } else {
+            self.paths.par_iter().map(|p| (p.friction, drawn_on(&chain, p, self.solved))).collect()
+        };
+        let path = |(friction, found): (f64, Smoothed)| {
+            let mut chain = chain.clone();
+            (chain.friction, chain.by_slip, chain.heavy) = (friction, true, true);
+            let gaps = chain.gaps(&found.x, &found.common);
+            let last = posterior(&chain, &found, blocks - 2..blocks)?;
+            Some(Path { friction, hypothesis: Hypothesis { cost: found.cost, gaps, blocks: last }, found })
+        };
+        let mut paths: Vec<Path> = found.into_par_iter().filter_map(path).collect();
+        paths.sort_by(|a, b| a.hypothesis.cost.total_cmp(&b.hypothesis.cost));
+        let best = paths.first().map_or(f64::INFINITY, |p| p.hypothesis.cost);
+        paths.retain(|p| (-DISCOUNT * (p.hypothesis.cost - best)).exp() >= LEAST_WEIGHT);
+        paths.truncate(MOST_PATHS);
+        self.paths = of_one_surface(paths, blocks, |p| &p.hypothesis);
+        self.solved = blocks;
+        while self.search_at <= self.solved {
+            self.search_at *= 2;
+        }
+    }
+}
+
+/// All paths under all coefficients.
+fn search(chain: &Chain<'_>) -> Vec<(f64, Smoothed)> {
+    let contacts = candidates(chain.wire, chain.rows);
+    let one = |path: Vec<_>| {
+        let found = smooth(&mut chain.clone(), path, &FRICTIONS);
+        FRICTIONS.into_iter().zip(found).collect::<Vec<_>>()
+    };
+    first_paths(chain, &contacts).into_par_iter().flat_map_iter(one).collect()
+}
+
+/// A path through the blocks that are new, too.
+fn drawn_on(chain: &Chain<'_>, path: &Path, solved: usize) -> Smoothed {
+    let mut x = path.found.x.clone();
+    for row in &chain.rows[solved..] {
+        let last = x[x.len() - 1];
+        let slid = x.len().checked_sub(2).map_or(0.0, |k| last[0] - x[k][0]);
+        let moment = nalgebra::Vector2::from(row.moment_nmm);
+        let next = chain.wire.frictionless(last[0] + slid, &moment, Some(last)).unwrap_or(last);
+        x.push(next);
+    }
+    let from = Smoothed { x, common: path.found.common.clone(), cost: f64::INFINITY };
+    descend(&mut chain.clone(), from, path.friction, true, true)
+}

@@ -241,6 +241,14 @@ fn what_is_wrong_with_a_sweep_is_named() {
         rows.iter_mut().for_each(|r| r[base..base + 3].iter_mut().for_each(|v| *v *= 1e-3))
     });
     named("metres", &metres, &["metres, stated as millimetres"]);
+    // The arm's log of another sweep, to the end of which it stands still.
+    let other: Vec<_> = SweepCase::draw(506).unwrap().readings.iter().map(|r| r.base_mm).collect();
+    let foreign = with("another sweep's motion", &|rows| {
+        for (k, r) in rows.iter_mut().enumerate() {
+            r[base..base + 3].copy_from_slice(other[(2 * k).min(other.len() - 1)].as_slice());
+        }
+    });
+    named("another sweep's motion", &foreign, &["object-disagrees"]);
     let axis = with("axis", &|rows| rows.iter_mut().for_each(|r| r.swap(base + 1, base + 2)));
     // Little of the motion is along y: that z is not the log's z can be told, its sign along y cannot.
     named("axis", &axis, &["the sweep has no zero of its own; the motion's"]);

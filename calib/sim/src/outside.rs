@@ -15,11 +15,13 @@ use std::f64::consts::PI;
 const DIRECTIONS: usize = 128;
 /// A tenth of the sky: from so many open directions on a face is of the outside. The inner wall of a bottle sees less than this of its mouth.
 const ENOUGH: usize = DIRECTIONS / 20;
+/// A smaller part of the faces than one in so many are nooks of one surface.
+const FEW: usize = 20;
 /// A ray starts so far from its face, mm.
 const OFF_FACE_MM: f64 = 1e-4;
 
 impl Mesh {
-    /// The mesh without the faces that nothing outside can touch; the same where there are none.
+    /// The mesh without the faces that nothing outside can touch; the same where they are few.
     ///
     /// # Errors
     /// As [`Mesh::new`].
@@ -37,10 +39,10 @@ impl Mesh {
             })
         };
         let outside: Vec<[u32; 3]> = self.triangles().par_iter().filter(|t| is_outside(t)).copied().collect();
-        if outside.is_empty() || outside.len() == self.triangles().len() {
+        let hidden = self.triangles().len() - outside.len();
+        if outside.is_empty() || hidden * FEW < self.triangles().len() {
             return Ok(self);
         }
-        let hidden = self.triangles().len() - outside.len();
         let mut mesh = Self::new(&self.name, &points, &outside)?;
         mesh.notes = self.notes;
         mesh.notes.push(format!("{hidden} faces that nothing outside can touch are left out"));

@@ -10,19 +10,64 @@ use nalgebra::{DMatrix, DVector};
 /// Sums of squares of a linearised problem.
 #[derive(Debug, Clone)]
 pub(super) struct Normal {
-    width: usize,
-    /// Row i of the lower band: columns i - width + 1 ..= i.
-    band: Vec<Vec<f64>>,
+    /// Lower triangle of A.
+    band: Band,
     border: DMatrix<f64>,
     corner: DMatrix<f64>,
     right: DVector<f64>,
     right_common: DVector<f64>,
 }
 
+/// A lower triangle of which each row has as many entries as it is wide, up to the diagonal.
+#[derive(Debug, Clone)]
+struct Band {
+    width: usize,
+    entries: Vec<f64>,
+}
+
+impl Band {
+    fn len(&self) -> usize {
+        self.entries.len() / self.width
+    }
+
+    /// Least column of a row.
+    fn first(&self, i: usize) -> usize {
+        i.saturating_sub(self.width - 1)
+    }
+
+    /// Columns `from .. to` of row i.
+    fn row(&self, i: usize, from: usize, to: usize) -> &[f64] {
+        let start = (i + 1) * (self.width - 1);
+        &self.entries[start + from..start + to]
+    }
+
+    fn at(&mut self, i: usize, j: usize) -> &mut f64 {
+        &mut self.entries[(i + 1) * (self.width - 1) + j]
+    }
+
+    /// Entries `from ..` of `(L L')^-1 x` into x, where x has nothing before.
+    fn solve(&self, x: &mut [f64], from: usize) {
+        let n = self.len();
+        for i in from..n {
+            let first = self.first(i).max(from);
+            let row = self.row(i, first, i + 1);
+            let sum: f64 = row.iter().zip(&x[first..i]).map(|(l, x)| l * x).sum();
+            x[i] = (x[i] - sum) / row[i - first];
+        }
+        for i in (from..n).rev() {
+            let first = self.first(i).max(from);
+            let row = self.row(i, first, i + 1);
+            let value = x[i] / row[i - first];
+            x[i] = value;
+            row.iter().zip(&mut x[first..i]).for_each(|(l, x)| *x -= l * value);
+        }
+    }
+}
+
 /// The factors of a [`Normal`].
 pub(super) struct Factored {
-    width: usize,
-    band: Vec<Vec<f64>>,
+    /// L.
+    band: Band,
     /// A^-1 C and S^-1.
     solved: DMatrix<f64>,
     corner: DMatrix<f64>,
@@ -32,8 +77,7 @@ impl Normal {
     /// Without any equation.
     pub fn new(unknowns: usize, common: usize, width: usize) -> Self {
         Self {
-            width,
-            band: vec![vec![0.0; width]; unknowns],
+            band: Band { width, entries: vec![0.0; width * unknowns] },
             border: DMatrix::zeros(unknowns, common),
             corner: DMatrix::zeros(common, common),
             right: DVector::zeros(unknowns),
@@ -41,33 +85,40 @@ impl Normal {
         }
     }
 
-    /// Adds `weight (r + J dx + K dc)^2` to the sum; entries of a row as pairs of index and value.
-    pub fn add(&mut self, weight: f64, r: f64, j: &[(usize, f64)], k: &[(usize, f64)]) {
-        for &(a, va) in j {
-            self.right[a] -= weight * va * r;
-            for &(b, vb) in j.iter().filter(|(b, _)| *b <= a) {
-                self.band[a][b + self.width - 1 - a] += weight * va * vb;
+    /// Adds `weight (r + J dx + K dc)^2` to the sum; J of the unknowns from `first` on, K of the first common ones.
+    pub fn add(&mut self, weight: f64, r: f64, first: usize, j: &[f64], k: &[f64]) {
+        for (a, va) in j.iter().enumerate() {
+            self.right[first + a] -= weight * va * r;
+            for (b, vb) in j[..=a].iter().enumerate() {
+                *self.band.at(first + a, first + b) += weight * va * vb;
             }
-            k.iter().for_each(|&(b, vb)| self.border[(a, b)] += weight * va * vb);
+            k.iter().enumerate().for_each(|(b, vb)| self.border[(first + a, b)] += weight * va * vb);
         }
-        for &(a, va) in k {
+        for (a, va) in k.iter().enumerate() {
             self.right_common[a] -= weight * va * r;
-            k.iter().for_each(|&(b, vb)| self.corner[(a, b)] += weight * va * vb);
+            k.iter().enumerate().for_each(|(b, vb)| self.corner[(a, b)] += weight * va * vb);
         }
+    }
+
+    /// Adds `weight (r + dc)^2` of one common unknown.
+    pub fn add_common(&mut self, weight: f64, r: f64, at: usize) {
+        self.right_common[at] -= weight * r;
+        self.corner[(at, at)] += weight;
     }
 
     /// With the diagonal raised by a share of itself; none where it is not positive.
     pub fn factor(&self, damping: f64) -> Option<Factored> {
-        let (n, w) = (self.band.len(), self.width);
         let mut band = self.band.clone();
+        let n = band.len();
         for i in 0..n {
-            band[i][w - 1] = band[i][w - 1] * (1.0 + damping) + 1e-12;
-            for j in i.saturating_sub(w - 1)..=i {
-                let from = i.saturating_sub(w - 1).max(j.saturating_sub(w - 1));
-                let sum: f64 = (from..j).map(|k| band[i][k + w - 1 - i] * band[j][k + w - 1 - j]).sum();
-                let value = band[i][j + w - 1 - i] - sum;
-                band[i][j + w - 1 - i] = if j < i {
-                    value / band[j][w - 1]
+            *band.at(i, i) = *band.at(i, i) * (1.0 + damping) + 1e-12;
+            for j in band.first(i)..=i {
+                let from = band.first(i);
+                let sum: f64 =
+                    band.row(i, from, j).iter().zip(band.row(j, from, j)).map(|(a, b)| a * b).sum();
+                let value = *band.at(i, j) - sum;
+                *band.at(i, j) = if j < i {
+                    value / *band.at(j, j)
                 } else if value > 0.0 {
                     value.sqrt()
                 } else {
@@ -75,15 +126,9 @@ impl Normal {
                 };
             }
         }
-        let mut made = Factored {
-            width: w,
-            band,
-            solved: DMatrix::zeros(n, self.corner.nrows()),
-            corner: DMatrix::zeros(0, 0),
-        };
-        for k in 0..self.corner.nrows() {
-            let column = made.chain(&self.border.column(k).into_owned());
-            made.solved.set_column(k, &column);
+        let mut made = Factored { band, solved: self.border.clone(), corner: DMatrix::zeros(0, 0) };
+        for mut column in made.solved.column_iter_mut() {
+            made.band.solve(column.as_mut_slice(), 0);
         }
         let mut corner = &self.corner - self.border.tr_mul(&made.solved);
         (0..corner.nrows()).for_each(|k| corner[(k, k)] += damping * self.corner[(k, k)] + 1e-12);
@@ -93,36 +138,22 @@ impl Normal {
 
     /// The step to the least sum.
     pub fn step(&self, by: &Factored) -> (DVector<f64>, DVector<f64>) {
-        let free = by.chain(&self.right);
+        let mut free = self.right.clone();
+        by.band.solve(free.as_mut_slice(), 0);
         let common = &by.corner * (&self.right_common - self.border.tr_mul(&free));
         (free - &by.solved * &common, common)
     }
 }
 
 impl Factored {
-    /// A^-1 times a vector.
-    fn chain(&self, right: &DVector<f64>) -> DVector<f64> {
-        let (n, w) = (self.band.len(), self.width);
-        let mut x = right.clone();
-        for i in 0..n {
-            let sum: f64 = (i.saturating_sub(w - 1)..i).map(|k| self.band[i][k + w - 1 - i] * x[k]).sum();
-            x[i] = (x[i] - sum) / self.band[i][w - 1];
-        }
-        for i in (0..n).rev() {
-            let sum: f64 = (i + 1..(i + w).min(n)).map(|k| self.band[k][i + w - 1 - k] * x[k]).sum();
-            x[i] = (x[i] - sum) / self.band[i][w - 1];
-        }
-        x
-    }
-
     /// Covariance of unknowns `from .. from + count`, what is common included.
     pub fn covariance(&self, from: usize, count: usize) -> DMatrix<f64> {
-        let n = self.band.len();
         let mut all = DMatrix::zeros(count, count);
         for k in 0..count {
-            let mut unit = DVector::zeros(n);
+            let mut unit = vec![0.0; self.band.len()];
             unit[from + k] = 1.0;
-            all.set_column(k, &self.chain(&unit).rows(from, count));
+            self.band.solve(&mut unit, from);
+            all.column_mut(k).copy_from_slice(&unit[from..from + count]);
         }
         let share = self.solved.rows(from, count);
         all + share * &self.corner * share.transpose()
@@ -143,18 +174,20 @@ mod tests {
         for k in 0..n {
             for part in 0..4 {
                 let from = k.saturating_sub(2);
-                let j: Vec<(usize, f64)> = (from..=k).map(|a| (a, value(a + 5 * k + 13 * part))).collect();
-                let c: Vec<(usize, f64)> = (0..m).map(|a| (a, value(7 * a + k + 3 * part))).collect();
+                let j: Vec<f64> = (from..=k).map(|a| value(a + 5 * k + 13 * part)).collect();
+                let c: Vec<f64> = (0..m).map(|a| value(7 * a + k + 3 * part)).collect();
                 let (weight, r) = (1.0 + 0.1 * k as f64, value(k + 29 * part));
-                normal.add(weight, r, &j, &c);
-                let row: Vec<(usize, f64)> =
-                    j.into_iter().chain(c.into_iter().map(|(a, v)| (n + a, v))).collect();
+                normal.add(weight, r, from, &j, &c);
+                let row: Vec<(usize, f64)> = (from..=k).chain(n..n + m).zip(j.into_iter().chain(c)).collect();
                 for (a, va) in &row {
                     right[*a] -= weight * va * r;
                     row.iter().for_each(|(b, vb)| dense[(*a, *b)] += weight * va * vb);
                 }
             }
         }
+        normal.add_common(0.5, 2.0, 1);
+        right[n + 1] -= 0.5 * 2.0;
+        dense[(n + 1, n + 1)] += 0.5;
         let factored = normal.factor(0.0).unwrap();
         let inverse = dense.try_inverse().unwrap();
         let (step, common) = normal.step(&factored);

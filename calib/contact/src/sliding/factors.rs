@@ -45,6 +45,8 @@ const OFF_MM: f64 = 0.3;
 
 /// Step of the differences of residuals.
 const H: f64 = 1e-6;
+/// Readings that a residual ties together at most.
+const TIED: usize = 3;
 
 /// Kinds of residuals.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,11 +80,14 @@ pub(super) struct Ends {
 }
 
 /// Residuals of a contact's readings.
+#[derive(Clone)]
 pub(super) struct Chain<'a> {
     pub wire: &'a TouchedWire,
     pub rows: &'a [MotionRow],
     /// Inverse square roots of the moments' covariances.
     whiten: Vec<Matrix2<f64>>,
+    /// Derivative of the moments' two residuals by the common unknowns.
+    by_common: Vec<[Vec<f64>; 2]>,
     /// Way of the object from the reading before, mm.
     pub step_mm: Vec<f64>,
     pub ends: Ends,
@@ -120,7 +125,7 @@ fn is_constant(rows: &[MotionRow], j: usize) -> bool {
 
 impl<'a> Chain<'a> {
     pub fn new(wire: &'a TouchedWire, rows: &'a [MotionRow], ends: Ends) -> Self {
-        let whiten = rows
+        let whiten: Vec<Matrix2<f64>> = rows
             .iter()
             .map(|r| {
                 let size = r.moment_nmm[0].hypot(r.moment_nmm[1]);
@@ -134,9 +139,13 @@ impl<'a> Chain<'a> {
             k => (rows[k].moved_mm - rows[k - 1].moved_mm).norm(),
         };
         let shared = rows.first().map_or(0, |r| r.shared_nmm.len());
+        let by_common = rows.iter().zip(&whiten).map(|(r, whiten)| {
+            [0, 1].map(|i| r.shared_nmm.iter().map(|h| -(whiten * Vector2::from(*h))[i]).collect())
+        });
         Self {
             wire,
             rows,
+            by_common: by_common.collect(),
             whiten,
             step_mm: (0..rows.len()).map(step).collect(),
             ends,
@@ -300,41 +309,36 @@ impl<'a> Chain<'a> {
 
     /// The linearised problem; residuals with heavy tails by their weights.
     pub fn linearise(&self, x: &[State], c: &DVector<f64>, common: Common) -> Normal {
-        let shown: Vec<(Local, Rates)> = x.iter().zip(self.rows).map(|(x, r)| self.rates(x, r)).collect();
-        let locals: Vec<Local> = shown.iter().map(|s| s.0).collect();
-        let mut normal = Normal::new(STATE * x.len(), self.shared, 3 * STATE);
+        let (locals, rates): (Vec<Local>, Vec<Rates>) =
+            x.iter().zip(self.rows).map(|(x, r)| self.rates(x, r)).unzip();
+        let mut normal = Normal::new(STATE * x.len(), self.shared, TIED * STATE);
         for kind in KINDS {
             for k in 0..x.len() {
                 let Some(range) = self.readings(kind, k) else { continue };
                 let all = &locals[range.clone()];
                 let r = self.residual(kind, k, all, c);
                 let weight = self.tails(kind).map_or(1.0, |nu| (nu + 1.0) / (nu + r.norm_squared()));
-                let (mut j, mut by_common) = (Vec::new(), Vec::new());
-                for (n, reading) in range.enumerate() {
+                let (mut near, mut by_state) = ([all[0]; TIED], [[0.0; TIED * STATE]; 2]);
+                near[..all.len()].copy_from_slice(all);
+                for (n, rates) in rates[range.clone()].iter().enumerate() {
                     for a in 0..STATE {
-                        let mut other = all.to_vec();
-                        other[n].x[a] += H;
-                        other[n].y.0 += shown[reading].1.column(a) * H;
-                        j.push((STATE * reading + a, (self.residual(kind, k, &other, c) - r) / H));
-                    }
-                }
-                if matches!(kind, Kind::Moments) {
-                    for n in 0..self.shared {
-                        let mut other = c.clone();
-                        other[n] += H;
-                        by_common.push((n, (self.residual(kind, k, all, &other) - r) / H));
+                        near[n].x[a] += H;
+                        near[n].y.0 += rates.column(a) * H;
+                        let by = (self.residual(kind, k, &near[..all.len()], c) - r) / H;
+                        near[n] = all[n];
+                        (0..2).for_each(|i| by_state[i][STATE * n + a] = by[i]);
                     }
                 }
                 for i in 0..Self::numbers(kind) {
-                    let of =
-                        |v: &[(usize, Vector2<f64>)]| v.iter().map(|(n, d)| (*n, d[i])).collect::<Vec<_>>();
-                    normal.add(weight, r[i], &of(&j), &of(&by_common));
+                    let by_common = if kind == Kind::Moments { self.by_common[k][i].as_slice() } else { &[] };
+                    let by_state = &by_state[i][..STATE * all.len()];
+                    normal.add(weight, r[i], STATE * range.start(), by_state, by_common);
                 }
             }
         }
         for n in 0..self.shared {
             let held = common == Common::Held && !self.constant[n];
-            normal.add(if held { HELD } else { 1.0 }, c[n], &[], &[(n, 1.0)]);
+            normal.add_common(if held { HELD } else { 1.0 }, c[n], n);
         }
         normal
     }

@@ -8,8 +8,9 @@
 //!
 //! where the force does not jump (that is another branch of equilibria); e with the noise of the moments, moved along the normal by the compliance s^2 / (3 E I), and half a node.
 
-use super::contact_state::{ContactQuantities, State, TIP_MM};
+use super::contact_state::{ContactQuantities, State, TIP_MM, TouchedWire};
 use super::factors::Chain;
+use crate::known_motion::MotionRow;
 use nalgebra::Vector2;
 use std::f64::consts::TAU;
 
@@ -28,7 +29,7 @@ const MAX_JUMP: f64 = 0.2;
 const STEP_SD_MM: f64 = 0.02;
 
 /// A node at a reading: none where no force gives the moments.
-type Candidate = Option<(State, ContactQuantities)>;
+pub(super) type Candidate = Option<(State, ContactQuantities)>;
 
 /// The nodes' places, mm.
 fn places(length_mm: f64) -> Vec<f64> {
@@ -40,95 +41,134 @@ fn places(length_mm: f64) -> Vec<f64> {
 }
 
 /// The best paths that begin on the wire, at its tip from the side, and at its tip from ahead; none where some reading is explained by no
-/// contact.
-pub(super) fn first_paths(chain: &Chain<'_>) -> Vec<Vec<State>> {
-    let solved = candidates(chain);
+/// contact. `contacts`: of `candidates`.
+pub(super) fn first_paths(chain: &Chain<'_>, contacts: &[Vec<Candidate>]) -> Vec<Vec<State>> {
+    let seen = |(row, contacts): (&MotionRow, &Vec<Candidate>)| -> Vec<Candidate> {
+        let of = |(x, y): &(State, ContactQuantities)| (*x, y.on_object(&row.turn, &row.moved_mm));
+        contacts.iter().map(|c| c.as_ref().map(of)).collect()
+    };
+    let solved: Vec<Vec<Candidate>> = chain.rows.iter().zip(contacts).map(seen).collect();
+    let Some(n) = solved.first().map(Vec::len) else { return Vec::new() };
     let tip = chain.wire.length_mm;
     let starts = [(0.0, tip), (tip, tip + AHEAD * TIP_MM), (tip + AHEAD * TIP_MM, f64::INFINITY)];
-    let from = |(low, high): (f64, f64)| best_path(chain, &solved, |x| x[0] > low && x[0] <= high);
-    starts.into_iter().filter_map(from).collect()
+    let mut searches = starts.map(|(low, high)| {
+        let begins = |x: &State| x[0] > low && x[0] <= high;
+        let costs = solved[0].iter().map(|c| start_cost(chain, c.as_ref().filter(|c| begins(&c.0))));
+        Search { costs: costs.collect(), from: Vec::new() }
+    });
+    let mut before = spreads(chain, &solved, 0);
+    for k in 1..solved.len() {
+        let here = spreads(chain, &solved, k);
+        let steps = steps(chain, &solved, k, [&before, &here]);
+        searches.iter_mut().for_each(|search| search.go_on(&steps, n));
+        before = here;
+    }
+    searches.into_iter().filter_map(|search| search.best_path(chain, &solved)).collect()
 }
 
-fn best_path(
-    chain: &Chain<'_>,
-    solved: &[Vec<Candidate>],
-    begins: impl Fn(&State) -> bool,
-) -> Option<Vec<State>> {
-    let n = solved.first()?.len();
-    let ei = chain.wire.ei_nmm2;
-    // Spread of a node across the surface: noise by compliance, and half the distance of two nodes along the normal.
-    let spread = |k: usize, i: usize| -> f64 {
+/// Cost of a contact as the first one.
+fn start_cost(chain: &Chain<'_>, contact: Option<&(State, ContactQuantities)>) -> f64 {
+    let Some((x, y)) = contact else { return f64::INFINITY };
+    if !chain.ends.from_free {
+        return 0.0;
+    }
+    let deflection = chain.deflection(0, x, y);
+    if deflection < MAX_DEFLECTION { deflection * deflection } else { f64::INFINITY }
+}
+
+/// Standard deviation of each node of a reading across the surface: noise by compliance, and half the distance of two nodes along the normal.
+fn spreads(chain: &Chain<'_>, solved: &[Vec<Candidate>], k: usize) -> Vec<f64> {
+    let n = solved[k].len();
+    let of = |i: usize| -> f64 {
         let Some((x, y)) = &solved[k][i] else { return f64::INFINITY };
-        let noise = (chain.rows[k].noise_nmm2.trace() / 2.0).sqrt() * y.arclength_mm().powi(2) / (3.0 * ei);
+        let noise = (chain.rows[k].noise_nmm2.trace() / 2.0).sqrt() * y.arclength_mm().powi(2)
+            / (3.0 * chain.wire.ei_nmm2);
         let next = solved[k][(i + 1).min(n - 1)].as_ref().map_or(0.0, |(z, w)| match z[0] > x[0] {
             true => (w.point_mm() - y.point_mm()).dot(&y.normal()) / 2.0,
             false => 0.0,
         });
         noise.hypot(next)
     };
-    let first = |c: &Candidate| {
-        if !chain.ends.from_free {
-            return if c.as_ref().is_some_and(|c| begins(&c.0)) { 0.0 } else { f64::INFINITY };
-        }
-        let deflection = c.as_ref().filter(|c| begins(&c.0)).map(|(x, y)| chain.deflection(0, x, y));
-        deflection.filter(|d| *d < MAX_DEFLECTION).map_or(f64::INFINITY, |d| d * d)
-    };
-    let mut costs: Vec<f64> = solved[0].iter().map(first).collect();
-    let mut from: Vec<Vec<usize>> = Vec::new();
-    for k in 1..solved.len() {
-        let (next, best) = step(chain, solved, k, &costs, &spread);
-        costs = next;
-        from.push(best);
-    }
-    if chain.ends.slips_off {
-        for (i, cost) in costs.iter_mut().enumerate() {
-            if let Some((x, _)) = &solved[solved.len() - 1][i] {
-                *cost += ((chain.wire.length_mm - x[0]).max(0.0) / 2.0).powi(2).min(30.0);
-            }
-        }
-    }
-    let mut at = (0..n).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).filter(|i| costs[*i].is_finite())?;
-    let mut path = vec![solved[solved.len() - 1][at]?.0];
-    for k in (0..from.len()).rev() {
-        at = from[k][at];
-        path.push(solved[k][at]?.0);
-    }
-    path.reverse();
-    Some(path)
+    (0..n).map(of).collect()
 }
 
-/// Costs of the nodes of reading k, and the node of the reading before that each comes from.
-fn step(
-    chain: &Chain<'_>,
-    solved: &[Vec<Candidate>],
-    k: usize,
-    costs: &[f64],
-    spread: &dyn Fn(usize, usize) -> f64,
-) -> (Vec<f64>, Vec<usize>) {
-    let n = costs.len();
-    let (mut next, mut best) = (vec![f64::INFINITY; n], vec![0; n]);
+/// A step of a path to node `to` from node `from` of the reading before.
+struct Step {
+    to: usize,
+    from: usize,
+    cost: f64,
+}
+
+/// All steps to a reading.
+fn steps(chain: &Chain<'_>, solved: &[Vec<Candidate>], k: usize, spreads: [&[f64]; 2]) -> Vec<Step> {
+    let n = solved[k].len();
     let reach = 4.0 * chain.step_mm[k] + 4.0;
     let slip = 2.0 * chain.step_mm[k] + 1.0;
-    let spreads: [Vec<f64>; 2] = [k - 1, k].map(|k| (0..n).map(|i| spread(k, i)).collect());
+    let jump_n = chain.jump_n(k);
+    // Both branches of the equilibria have the same places in the same order.
+    let (branch, nodes) = (n / 2, (reach / NODE_MM * PARTS as f64).ceil() as usize);
+    let mut steps = Vec::new();
     for (i, to) in solved[k].iter().enumerate() {
         let Some((x, y)) = to else { continue };
-        for (j, at) in solved[k - 1].iter().enumerate() {
-            let Some((x0, y0)) = at else { continue };
+        let at = i % branch;
+        let near = at.saturating_sub(nodes)..(at + nodes + 1).min(branch);
+        for j in near.clone().chain(near.start + branch..near.end + branch) {
+            let Some((x0, y0)) = &solved[k - 1][j] else { continue };
             let dq = x[0] - x0[0];
             // A jump of the force leads to another branch of equilibria.
-            let jump = (x[1] - x0[1]).abs() > MAX_JUMP * (x[1] + x0[1]) + chain.jump_n(k);
+            let jump = (x[1] - x0[1]).abs() > MAX_JUMP * (x[1] + x0[1]) + jump_n;
             if dq.abs() > reach || jump {
                 continue;
             }
             let off = (y.point_mm() - y0.point_mm()).dot(&(y.normal() + y0.normal())) * 0.5;
             let variance = STEP_SD_MM.powi(2) + spreads[0][j].powi(2) + spreads[1][i].powi(2);
-            let cost = costs[j] + 5.0 * (off * off / variance / 4.0).ln_1p() + (dq / slip).powi(2);
-            if cost < next[i] {
-                (next[i], best[i]) = (cost, j);
-            }
+            let cost = 5.0 * (off * off / variance / 4.0).ln_1p() + (dq / slip).powi(2);
+            steps.push(Step { to: i, from: j, cost });
         }
     }
-    (next, best)
+    steps
+}
+
+/// The best path to each node from a start: its cost so far, and for each reading the node of the one before.
+struct Search {
+    costs: Vec<f64>,
+    from: Vec<Vec<usize>>,
+}
+
+impl Search {
+    fn go_on(&mut self, steps: &[Step], nodes: usize) {
+        let (mut next, mut best) = (vec![f64::INFINITY; nodes], vec![0; nodes]);
+        for step in steps {
+            let cost = self.costs[step.from] + step.cost;
+            if cost < next[step.to] {
+                (next[step.to], best[step.to]) = (cost, step.from);
+            }
+        }
+        self.costs = next;
+        self.from.push(best);
+    }
+
+    /// None where no path explains all readings.
+    fn best_path(mut self, chain: &Chain<'_>, solved: &[Vec<Candidate>]) -> Option<Vec<State>> {
+        let last = solved.last()?;
+        if chain.ends.slips_off {
+            for (cost, contact) in self.costs.iter_mut().zip(last) {
+                if let Some((x, _)) = contact {
+                    *cost += ((chain.wire.length_mm - x[0]).max(0.0) / 2.0).powi(2).min(30.0);
+                }
+            }
+        }
+        let costs = &self.costs;
+        let best = (0..costs.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b]));
+        let mut at = best.filter(|i| costs[*i].is_finite())?;
+        let mut path = vec![last[at]?.0];
+        for (from, solved) in self.from.iter().zip(solved).rev() {
+            at = from[at];
+            path.push(solved[at]?.0);
+        }
+        path.reverse();
+        Some(path)
+    }
 }
 
 /// A share of the way from one state to another; azimuths the short way round.
@@ -138,22 +178,19 @@ pub(super) fn between_states(a: &State, b: &State, u: f64) -> State {
     a * (1.0 - u) + b * u
 }
 
-/// Contacts at all nodes and parts of each reading.
-fn candidates(chain: &Chain<'_>) -> Vec<Vec<Candidate>> {
-    let places = places(chain.wire.length_mm);
+/// Contacts at all nodes and parts of each reading, base frame: whatever the motion is.
+pub(super) fn candidates(wire: &TouchedWire, rows: &[MotionRow]) -> Vec<Vec<Candidate>> {
+    let places = places(wire.length_mm);
     let mut last: Vec<Option<State>> = vec![None; places.len()];
     let mut high: Vec<Option<State>> = vec![None; places.len()];
-    let mut all = Vec::with_capacity(chain.rows.len());
-    for row in chain.rows {
+    let mut all = Vec::with_capacity(rows.len());
+    for row in rows {
         let moment = Vector2::from(row.moment_nmm);
         for (state, q) in last.iter_mut().zip(&places) {
-            *state = chain
-                .wire
-                .frictionless(*q, &moment, *state)
-                .or_else(|| chain.wire.frictionless(*q, &moment, None));
+            *state = wire.frictionless(*q, &moment, *state).or_else(|| wire.frictionless(*q, &moment, None));
         }
         for (state, low) in high.iter_mut().zip(&last) {
-            *state = low.as_ref().and_then(|low| chain.wire.past_fold(low, &moment));
+            *state = low.as_ref().and_then(|low| wire.past_fold(low, &moment));
         }
         let mut fine = Vec::with_capacity(2 * places.len() * PARTS);
         for last in [&last, &high] {
@@ -166,7 +203,7 @@ fn candidates(chain: &Chain<'_>) -> Vec<Vec<Candidate>> {
                         (_, Some(a), Some(b)) => Some(between_states(a, &b, u)),
                         _ => None,
                     };
-                    fine.push(between.map(|x| (x, chain.wire.show(&x).on_object(&row.turn, &row.moved_mm))));
+                    fine.push(between.map(|x| (x, wire.show(&x))));
                 }
             }
         }

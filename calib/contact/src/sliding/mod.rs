@@ -47,6 +47,7 @@ use crate::known_motion::contact_path::loaded;
 use crate::known_motion::{EpisodeContact, MotionRow, Region};
 use blocks::blocks;
 use factors::{Chain, Ends};
+use first_path::{Candidate, candidates, first_paths};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 use slips::{LEAPS, parts};
@@ -171,17 +172,34 @@ struct Hypothesis {
 /// its own, which only moments that are right can find; else one surface from first touch to release tells more.
 #[must_use]
 pub fn locate_sliding(wire: &TouchedWire, rows: &[MotionRow]) -> SlidingContact {
-    let sure = |leap: &f64| Some(locate_parts(wire, rows, *leap)).filter(SlidingContact::sure);
-    LEAPS.iter().find_map(sure).unwrap_or_else(|| locate_parts(wire, rows, f64::INFINITY))
+    let Some([first, last]) = touching(rows) else { return SlidingContact::nothing(rows.len()) };
+    let held = &rows[first..=last];
+    // Often two sizes of leap part the readings alike, or not at all.
+    let mut known: Vec<(Vec<Range<usize>>, SlidingContact)> = Vec::new();
+    let mut located = |leap: f64| {
+        let ranges = parts(held, leap);
+        if let Some(same) = known.iter().find(|k| k.0 == ranges) {
+            return same.1.clone();
+        }
+        let found = locate_parts(wire, rows, [first, last], &ranges);
+        known.push((ranges, found.clone()));
+        found
+    };
+    // A motion that turns back is sure in no way.
+    let sure = (!turns_back(held)).then(|| LEAPS.into_iter().map(&mut located).find(SlidingContact::sure));
+    sure.flatten().unwrap_or_else(|| located(f64::INFINITY))
 }
 
-/// With the path parted at each leap of the moments.
-fn locate_parts(wire: &TouchedWire, rows: &[MotionRow], leap: f64) -> SlidingContact {
+/// With a path for each of these ranges of the loaded readings `first ..= last`.
+fn locate_parts(
+    wire: &TouchedWire,
+    rows: &[MotionRow],
+    [first, last]: [usize; 2],
+    ranges: &[Range<usize>],
+) -> SlidingContact {
     let mut all = SlidingContact::nothing(rows.len());
-    let Some([first, last]) = touching(rows) else { return all };
     let held = &rows[first..=last];
     let lost_at_end = last + 1 < rows.len() && lost_at_once(held);
-    let ranges = parts(held, leap);
     let ends =
         |r: &Range<usize>| Ends { from_free: r.start == 0, slips_off: lost_at_end && r.end == held.len() };
     let found: Vec<Option<Part>> =
@@ -198,9 +216,9 @@ fn locate_parts(wire: &TouchedWire, rows: &[MotionRow], leap: f64) -> SlidingCon
     all.slips = ranges[1..].iter().map(|r| first + r.start).collect();
     all.whole = found.iter().all(Option::is_some);
     let lost = if all.sure() { 0.0 } else { LOST };
-    for (range, part) in ranges.into_iter().zip(&found) {
+    for (range, part) in ranges.iter().zip(&found) {
         let Some(part) = part else { continue };
-        for (k, at) in range.zip(&part.at) {
+        for (k, at) in range.clone().zip(&part.at) {
             let each = part.mixture(*at);
             all.places[first + k] = place(&each, &held[k], lost * wire.length_mm.powi(2) / 12.0);
             all.regions[first + k] = regions(&each, wire.length_mm, lost);
@@ -226,9 +244,10 @@ impl Part {
         if means.len() < MIN_MEANS {
             return None;
         }
+        let contacts = candidates(wire, &means);
         let (hypotheses, control) = rayon::join(
-            || hypotheses(wire, &means, ends, &FRICTIONS),
-            || hypotheses(wire, &reversed(&means), ends, &FRICTIONS[..1]),
+            || hypotheses(&Chain::new(wire, &means, ends), &contacts, &FRICTIONS),
+            || hypotheses(&Chain::new(wire, &reversed(&means), ends), &contacts, &FRICTIONS[..1]),
         );
         let reversed_cost = control.iter().map(|h| h.cost).fold(f64::INFINITY, f64::min);
         (!hypotheses.is_empty()).then_some(Self { hypotheses, reversed_cost, count: means.len(), at })
@@ -278,10 +297,10 @@ fn reversed(rows: &[MotionRow]) -> Vec<MotionRow> {
 }
 
 /// All paths under all friction coefficients; those that explain the readings and have a curvature.
-fn hypotheses(wire: &TouchedWire, rows: &[MotionRow], ends: Ends, frictions: &[f64]) -> Vec<Hypothesis> {
-    let firsts = first_path::first_paths(&Chain::new(wire, rows, ends));
+fn hypotheses(chain: &Chain<'_>, contacts: &[Vec<Candidate>], frictions: &[f64]) -> Vec<Hypothesis> {
+    let firsts = first_paths(chain, contacts);
     let one = |path: Vec<_>| {
-        let mut chain = Chain::new(wire, rows, ends);
+        let mut chain = chain.clone();
         let found = smooth(&mut chain, path, frictions);
         let both = found.iter().zip(frictions).filter_map(|(found, mu)| {
             chain.friction = *mu;

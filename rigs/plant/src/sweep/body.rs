@@ -80,13 +80,27 @@ impl Outline {
 /// Nearest point of an ellipse by its angle: Newton's iteration on `d/dt |(a cos t, b sin t) - p|^2 = 0` in the first quadrant, bracketed.
 fn ellipse(a: f64, b: f64, at: &Vector2<f64>) -> (f64, Vector2<f64>) {
     let p = at.abs();
-    let slope = |t: f64| (b * b - a * a) * t.sin() * t.cos() + p.x * a * t.sin() - p.y * b * t.cos();
     let (mut low, mut high) = (0.0, FRAC_PI_2);
+    // Off the axes, where deep inside a long ellipse the farthest point is stationary, too.
+    let mut t = (p.y * a).atan2(p.x * b).clamp(1e-6, FRAC_PI_2 - 1e-6);
     for _ in 0..60 {
-        let middle = 0.5 * (low + high);
-        if slope(middle) < 0.0 { low = middle } else { high = middle }
+        let (sin, cos) = t.sin_cos();
+        let slope = (b * b - a * a) * sin * cos + p.x * a * sin - p.y * b * cos;
+        if slope < 0.0 {
+            low = t
+        } else {
+            high = t
+        }
+        let rate = (b * b - a * a) * (cos * cos - sin * sin) + p.x * a * cos + p.y * b * sin;
+        let newton = t - slope / rate;
+        let next = if rate > 0.0 && (low..=high).contains(&newton) { newton } else { 0.5 * (low + high) };
+        let step = (next - t).abs();
+        t = next;
+        if step < 1e-15 {
+            break;
+        }
     }
-    let (sin, cos) = (0.5 * (low + high)).sin_cos();
+    let (sin, cos) = t.sin_cos();
     let normal = Vector2::new(b * cos, a * sin).normalize();
     let distance = (p - Vector2::new(a * cos, b * sin)).dot(&normal);
     (distance, Vector2::new(normal.x.copysign(at.x), normal.y.copysign(at.y)))

@@ -184,13 +184,34 @@ fn a_simulated_null_session_is_adequate() {
     assert_eq!(v["simulated"], true);
 }
 
+/// A demonstration in the place of an earlier one: what it shows, and that nothing of the earlier one is left beside it.
 #[test]
 fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() {
-    let out = tempfile::tempdir().expect("temporary folder");
-    let run = program().args(["demo", "--out"]).arg(out.path()).output().expect("wcal runs");
+    let place = tempfile::tempdir().expect("temporary folder");
+    let demo =
+        || program().args(["demo", "--out", "demo"]).current_dir(place.path()).output().expect("wcal runs");
+    let out = place.path().join("demo");
+    // As an earlier one left it: an explanation was accepted then.
+    let earlier = out.join("whiskerfbg");
+    std::fs::create_dir_all(&earlier).expect("made");
+    for (name, text) in
+        [("verify.json", "wcal-verify/1"), ("calibration.json", "{}"), ("../report.html", "wcal demo")]
+    {
+        std::fs::write(earlier.join(name), text).expect("written");
+    }
+    // Control: beside a file that is no demonstration's it is refused.
+    std::fs::write(earlier.join("notes.txt"), "mine").expect("written");
+    let run = demo();
+    let said = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(said.contains("notes.txt") && !out.join("practice-004").exists(), "{said}");
+    std::fs::remove_file(earlier.join("notes.txt")).expect("removed");
+    let run = demo();
     let said = String::from_utf8_lossy(&run.stdout);
     assert!(run.status.success() && said.contains("case-004 (SIMULATED): adequate"), "{said}");
-    let read = |name: &str| std::fs::read_to_string(out.path().join(name)).expect(name);
+    let read = |name: &str| std::fs::read_to_string(out.join(name)).expect(name);
+    let accepted = read("whiskerfbg/verify.json");
+    assert!(!accepted.contains("\"effect\"") && !earlier.join("calibration.json").exists(), "{accepted}");
     let v: Value = serde_json::from_str(&read("pontius/verify.json")).expect("JSON");
     let rmse = |side: &str| v[side]["response_rmse"].as_f64().expect("rmse");
     assert_eq!((v["verdict"].as_str(), v["simulated"].as_bool()), (Some("effect"), Some(false)));
@@ -274,31 +295,4 @@ fn undeclared_friction_is_named_and_a_copied_holdout_refused() {
     std::fs::write(folder.path().join("holdout.csv"), copied.join("\n") + "\n").expect("written");
     let (code, v) = verify(folder.path());
     assert_eq!((code, v["verdict"].as_str()), (1, Some("refused")), "{}", v["reason"]);
-}
-
-#[test]
-fn a_demonstration_takes_the_place_of_an_earlier_one() {
-    let place = tempfile::tempdir().expect("temporary folder");
-    let demo = || {
-        let run =
-            program().args(["demo", "--out", "demo"]).current_dir(place.path()).output().expect("wcal runs");
-        (run.status.code(), String::from_utf8_lossy(&run.stderr).into_owned())
-    };
-    // As an earlier one left it: an explanation was accepted then.
-    let earlier = place.path().join("demo/whiskerfbg");
-    std::fs::create_dir_all(&earlier).expect("made");
-    for (name, text) in
-        [("verify.json", "wcal-verify/1"), ("calibration.json", "{}"), ("../report.html", "wcal demo")]
-    {
-        std::fs::write(earlier.join(name), text).expect("written");
-    }
-    std::fs::write(earlier.join("notes.txt"), "mine").expect("written");
-    let (code, text) = demo();
-    assert_eq!(code, Some(1));
-    assert!(text.contains("notes.txt") && !place.path().join("demo/practice-004").exists(), "{text}");
-    std::fs::remove_file(earlier.join("notes.txt")).expect("removed");
-    let (code, text) = demo();
-    assert_eq!(code, Some(0), "{text}");
-    let accepted = std::fs::read_to_string(earlier.join("verify.json")).expect("verify.json");
-    assert!(!accepted.contains("\"effect\"") && !earlier.join("calibration.json").exists(), "{accepted}");
 }

@@ -5,6 +5,7 @@ use crate::support::copy::copy_folder;
 use crate::support::{fixture, text, wcal};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 use wcal_plant::sweep::SweepCase;
 
 /// A row of the sweep's points.csv: point, t_s, two shifts (nm), place of the base (mm), its turn.
@@ -34,17 +35,21 @@ fn path(at: &Path) -> &str {
     at.to_str().unwrap()
 }
 
-/// The map of the 27 measured poses by the rod's labels.
-fn map(folder: &Path) -> String {
-    let (session, out) = (fixture("whiskerfbg"), folder.join("map"));
-    let run = wcal(&["fit-gpr", path(&session), "--labels", "rod", "--out", path(&out)]);
-    assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
-    assert!(
-        text(&run.stdout).contains("another zero than the loaded poses: left out"),
-        "{}",
-        text(&run.stdout)
-    );
-    out.join("calibration.json").to_str().unwrap().to_owned()
+/// The map of the 27 measured poses by the rod's labels, made once for all tests.
+fn map() -> &'static str {
+    static MAP: LazyLock<String> = LazyLock::new(|| {
+        let (session, out) =
+            (fixture("whiskerfbg"), Path::new(env!("CARGO_TARGET_TMPDIR")).join("passed-object-map"));
+        let run = wcal(&["fit-gpr", path(&session), "--labels", "rod", "--out", path(&out)]);
+        assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
+        assert!(
+            text(&run.stdout).contains("another zero than the loaded poses: left out"),
+            "{}",
+            text(&run.stdout)
+        );
+        path(&out.join("calibration.json")).to_owned()
+    });
+    &MAP
 }
 
 fn track(calibration: &str, source: &Path, more: &[&str]) -> Tracked {
@@ -87,9 +92,9 @@ fn each(change: impl Fn(&mut Row)) -> impl Fn(Vec<Row>) -> Vec<Row> {
 #[test]
 fn distances_from_the_bottle_are_stated_and_the_measured_sweep_agrees() {
     let folder = tempfile::tempdir().unwrap();
-    let calibration = map(folder.path());
+    let calibration = map();
     let sweep = changed(folder.path(), "as-it-is", |rows| rows);
-    let own = track(&calibration, &sweep, &[]);
+    let own = track(calibration, &sweep, &[]);
     println!("{}", own.said);
     let judgement = &own.summary["object_judgement"];
     assert!(judgement["refuted"] == false && judgement["zero_drift_nmm"].is_null(), "{judgement}");
@@ -112,7 +117,7 @@ fn distances_from_the_bottle_are_stated_and_the_measured_sweep_agrees() {
     let table = folder.path().join("readings.csv");
     std::fs::copy(sweep.join("points.csv"), &table).unwrap();
     let options = ["--object", path(&bottle), "--object-pose", "111.76475,10.7875,-22.46,1,0,0,0"];
-    let by_option = track(&calibration, &table, &options);
+    let by_option = track(calibration, &table, &options);
     assert_eq!(by_option.summary["object_judgement"]["p_value"], judgement["p_value"]);
 }
 
@@ -129,9 +134,9 @@ fn named(name: &str, run: &Tracked, words: &[&str]) {
 #[test]
 fn a_sweep_that_cannot_be_judged_is_named() {
     let folder = tempfile::tempdir().unwrap();
-    let calibration = map(folder.path());
+    let calibration = map();
     let with = |name: &str, change: &dyn Fn(Vec<Row>) -> Vec<Row>| {
-        track(&calibration, &changed(folder.path(), name, change), &[])
+        track(calibration, &changed(folder.path(), name, change), &[])
     };
     named(
         "metre off",
@@ -141,7 +146,7 @@ fn a_sweep_that_cannot_be_judged_is_named() {
     // A calibration that does not know the zero of the free wire refuses a beginning in contact; where a zero is vouched for, the object speaks.
     let late = changed(folder.path(), "in", |rows| rows[20..].to_vec());
     let out = folder.path().join("refused.csv");
-    let run = wcal(&["track", path(&late), "--calibration", &calibration, "--force", "--out", path(&out)]);
+    let run = wcal(&["track", path(&late), "--calibration", calibration, "--force", "--out", path(&out)]);
     let said = text(&run.stderr);
     assert!(
         run.status.code() == Some(1) && said.contains("expected free readings at the beginning"),
@@ -149,7 +154,7 @@ fn a_sweep_that_cannot_be_judged_is_named() {
     );
     named(
         "in contact",
-        &track(&calibration, &late, &["--tare-s", "0.3"]),
+        &track(calibration, &late, &["--tare-s", "0.3"]),
         &["the sweep has no zero of its own"],
     );
     let untouched = with("never", &|mut rows| {
@@ -243,7 +248,7 @@ fn what_is_wrong_with_a_sweep_is_named() {
 #[test]
 fn a_drifting_zero_is_named() {
     let folder = tempfile::tempdir().unwrap();
-    let calibration = map(folder.path());
+    let calibration = map();
     let drifting = changed(folder.path(), "drift", |mut rows| {
         let last = rows.len();
         // Two more seconds in which the wire is clear of the bottle.
@@ -257,7 +262,7 @@ fn a_drifting_zero_is_named() {
         rows.iter_mut().for_each(|r| r[3] += 0.012 * (r[1] / end_s).min(1.0));
         rows
     });
-    let run = track(&calibration, &drifting, &[]);
+    let run = track(calibration, &drifting, &[]);
     println!("{}", run.said);
     assert!(
         run.said.contains("the zero drifts: where the wire is clear of the object again"),

@@ -69,7 +69,7 @@ impl SlidingStream {
         let [.., a, b] = &self.means[..self.solved] else { return None };
         // As far as the object has gone on since.
         let step = b.moved_mm - a.moved_mm;
-        let share = (row.moved_mm - a.moved_mm).dot(&step) / step.norm_squared();
+        let share = (row.moved_mm - a.moved_mm).dot(&step) / step.norm_squared().max(1e-12);
         let best = self.paths.iter().map(|p| p.hypothesis.cost).fold(f64::INFINITY, f64::min);
         let weight = |p: &Path| (-DISCOUNT * (p.hypothesis.cost - best)).exp();
         let at = |p: &Path| (weight(p), between(&p.hypothesis.blocks, 0, share.clamp(0.0, FARTHEST)));

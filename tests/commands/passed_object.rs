@@ -121,6 +121,7 @@ fn distances_from_the_bottle_are_stated_and_the_measured_sweep_agrees() {
     let options = ["--object", path(&bottle), "--object-pose", "111.76475,10.7875,-22.46,1,0,0,0"];
     let by_option = track(calibration, &table, &options);
     assert_eq!(by_option.summary["object_judgement"]["p_value"], judgement["p_value"]);
+    assert_eq!(by_option.column("status"), own.column("status"));
 }
 
 /// A run whose every contact is flagged, with these words.

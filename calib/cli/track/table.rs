@@ -158,7 +158,9 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
     let field = moment_field(&source.wire, &axes)
         .with_changed(source.changed.iter().map(|w| moment_field(w, &axes)).collect());
     let mut readings = source.along(&logged, &(base_from_wire * field.free(0.5 * field.length_mm()).0));
-    let over_object = path.parent().map(SweepSession::of).transpose()?.flatten().is_some();
+    // Who names the object that is passed says that the contact slides over it.
+    let in_session = path.parent().map(SweepSession::of).transpose()?.flatten().is_some();
+    let over_object = args.object.is_some() || in_session;
     // Readings of a sweep follow each other: what the poses of a calibration scatter by is no noise of theirs, but an error that they share.
     let tare_s = zero_span_s(args, path, &mut readings, (has_misfit || over_object, zero_known))?;
     let estimator = KnownMotionTable::new(field, &whisker, accuracy(args), over_object);

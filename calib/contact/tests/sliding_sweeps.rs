@@ -225,32 +225,29 @@ fn a_wrong_motion_is_worse_than_the_true_one() {
 /// What the stream knows at each reading: once no fixed point explains the moments, the contact is followed as one that slides. The motion reversed: it is not.
 #[test]
 fn a_stream_follows_a_contact_that_slides() {
-    let one = |(case, _): &(SweepCase, SlidingContact)| {
+    // Errors of the readings of a sweep that are followed as sliding, along the motion times a factor.
+    let slid = |case: &SweepCase, way: f64| {
         let whisker = whisker(case);
-        let stream = |way: f64| {
+        let stream = {
             let rod = wcal_rod::Rod::new(&whisker, MESH_MM).unwrap();
             let field = Arc::new(MomentField::new(&rod, &MomentAxes::default(), Friction::NONE));
             let mut stream = KnownMotionStream::new(field, &whisker, ACCURACY);
             let push = |r: Reading| stream.push(&r).unwrap().remove(0);
             readings(&rows(case, way)).map(push).collect::<Vec<Contact>>()
         };
-        let slid = |all: &[Contact]| -> Vec<f64> {
-            let error = |(c, r): (&Contact, &SweepReading)| {
-                let at = c.estimate.filter(|_| c.flags.has(Flags::SLIDING_ASSUMED))?.place_mm;
-                Some((at - r.touch?.axis_mm).norm())
-            };
-            all.iter().zip(&case.readings).filter_map(error).collect()
+        let error = |(c, r): (&Contact, &SweepReading)| {
+            let at = c.estimate.filter(|_| c.flags.has(Flags::SLIDING_ASSUMED))?.place_mm;
+            Some((at - r.touch?.axis_mm).norm())
         };
-        (slid(&stream(1.0)), slid(&stream(-1.0)))
+        stream.iter().zip(&case.readings).filter_map(error).collect::<Vec<f64>>()
     };
     let streamed = &followed()[STREAMED];
-    let all: Vec<_> = streamed.iter().map(one).collect();
-    let pooled = |of: fn(&(Vec<f64>, Vec<f64>)) -> &Vec<f64>| {
-        let mut errors: Vec<f64> = all.iter().flat_map(|a| of(a).clone()).collect();
+    let pooled = |way: f64| {
+        let mut errors: Vec<f64> = streamed.iter().flat_map(|f| slid(&f.0, way)).collect();
         errors.sort_by(f64::total_cmp);
         errors
     };
-    let (right, reversed) = (pooled(|a| &a.0), pooled(|a| &a.1));
+    let (right, reversed) = (pooled(1.0), pooled(-1.0));
     let median = |errors: &[f64]| errors.get(errors.len() / 2).copied().unwrap_or(f64::INFINITY);
     let touching: usize =
         streamed.iter().map(|f| f.0.readings.iter().filter(|r| r.touch.is_some()).count()).sum();

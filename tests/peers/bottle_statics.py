@@ -36,6 +36,10 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
+def turn_of(a, b, c):
+    return (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
+
+
 def outline():
     """Convex hull of the mesh's section at z = 0, counter-clockwise, mm."""
     data = (SWEEP / "object.stl").read_bytes()
@@ -51,7 +55,7 @@ def outline():
     for turn in (sorted(set(points)), sorted(set(points), reverse=True)):
         part = []
         for p in turn:
-            while len(part) > 1 and np.cross(np.subtract(part[-1], part[-2]), np.subtract(p, part[-1])) <= 1e-9:
+            while len(part) > 1 and turn_of(part[-2], part[-1], p) <= 1e-9:
                 part.pop()
             part.append(p)
         hull += part[:-1]
@@ -132,14 +136,14 @@ def main():
     released = [float(r["released_moment_2_nmm"]) for r in rows(SWEEP / "readings.csv")]
     print(f"{len(poly)} corners of the outline; k, moment by statics and as released (N mm), ratio, touch in the world (mm)")
     a, x, touch = wire.rest.copy(), base[3], {}
-    for k in range(3, LAST + 1):
+    for k in range(3, len(base)):
         steps = max(math.ceil(abs(base[k] - x) / STEP_MM), 1)
         for j in range(1, steps + 1):
             a, moment, at = wire.press(a, x + (base[k] - x) * j / steps, poly)
         x = base[k]
         if at is not None:
             touch[k] = at
-            if k % 3 == 2:
+            if k % 3 == 2 and released[k] < 0:
                 print(f"{k:3d} {moment:7.3f} {-released[k]:7.3f} {moment / -released[k]:6.3f}   {at[0]:7.2f} {at[1]:6.2f}", flush=True)
     place = lambda r: (float(r["world_x_mm"]), float(r["world_y_mm"]))
     beside("released network", {int(r["k"]): place(r) for r in rows(SWEEP / "released_contacts.csv")}, touch)

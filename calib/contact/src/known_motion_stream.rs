@@ -26,7 +26,7 @@ const POSE_MM: f64 = 0.5;
 /// Share of the noise from pose to pose that a row has for itself where no prefix was measured. An assumption, as for the filters.
 const WHITE: f64 = 0.2;
 /// Rows of a contact that are kept for the case that it slides later.
-const MOST_BEFORE: usize = 4096;
+const MAX_BEFORE: usize = 4096;
 /// A contact goes on over rows without moments or motion for so long, s: the displacement is known again after them.
 const MAX_LOST_S: f64 = 1.0;
 
@@ -141,7 +141,7 @@ impl KnownMotionStream {
         let Some((_, before)) = self.touch.as_mut().filter(|_| found.loaded) else { return Ok(None) };
         if self.sliding.is_none() && !found.disagrees {
             // Of a long press the first rows say where a contact that slides later began.
-            if before.len() < MOST_BEFORE {
+            if before.len() < MAX_BEFORE {
                 before.push(row.clone());
             }
             return Ok(None);

@@ -19,12 +19,12 @@ use rayon::prelude::*;
 /// Blocks at which all paths are looked for anew: from so many on, at each doubling.
 const FIRST_SEARCH: usize = 4;
 /// Weight of a path, and number of them, that are followed.
-const LEAST_WEIGHT: f64 = 1e-3;
-const MOST_PATHS: usize = 8;
+const MIN_WEIGHT: f64 = 1e-3;
+const MAX_PATHS: usize = 8;
 /// Readings of a block, blocks of a contact, and steps that a reading lies past the last but one of its blocks, at most.
-const MOST_OPEN: usize = 64;
-const MOST_BLOCKS: usize = 200;
-const FARTHEST: f64 = 2.7;
+const MAX_OPEN: usize = 64;
+const MAX_BLOCKS: usize = 200;
+const MAX_SHARE: f64 = 2.7;
 /// Nothing slips off while it is followed.
 const GOING_ON: Ends = Ends { from_free: true, slips_off: false };
 
@@ -59,10 +59,10 @@ impl SlidingStream {
 
     /// Takes a loaded reading; its contact, and the 95 % regions along the wire, where some path explains the readings so far.
     pub fn push(&mut self, row: &MotionRow) -> Option<(EpisodeContact, Vec<Region>)> {
-        self.keep(row);
-        if self.means.len() > MOST_BLOCKS {
+        if self.means.len() > MAX_BLOCKS {
             return None;
         }
+        self.keep(row);
         if self.means.len() > self.solved && self.means.len() >= FIRST_SEARCH {
             self.follow();
         }
@@ -72,7 +72,7 @@ impl SlidingStream {
         let share = (row.moved_mm - a.moved_mm).dot(&step) / step.norm_squared().max(1e-12);
         let best = self.paths.iter().map(|p| p.hypothesis.cost).fold(f64::INFINITY, f64::min);
         let weight = |p: &Path| (-DISCOUNT * (p.hypothesis.cost - best)).exp();
-        let at = |p: &Path| (weight(p), between(&p.hypothesis.blocks, 0, share.clamp(0.0, FARTHEST)));
+        let at = |p: &Path| (weight(p), between(&p.hypothesis.blocks, 0, share.clamp(0.0, MAX_SHARE)));
         let each: Vec<(f64, BlockPosterior)> = self.paths.iter().map(at).collect();
         if each.is_empty() {
             return None;
@@ -89,7 +89,7 @@ impl SlidingStream {
             self.open.clear();
         }
         // A long hold says no more.
-        if self.open.len() < MOST_OPEN {
+        if self.open.len() < MAX_OPEN {
             self.open.push(row.clone());
         }
     }
@@ -121,8 +121,8 @@ impl SlidingStream {
         let mut paths: Vec<Path> = found.into_par_iter().filter_map(path).collect();
         paths.sort_by(|a, b| a.hypothesis.cost.total_cmp(&b.hypothesis.cost));
         let best = paths.first().map_or(f64::INFINITY, |p| p.hypothesis.cost);
-        paths.retain(|p| (-DISCOUNT * (p.hypothesis.cost - best)).exp() >= LEAST_WEIGHT);
-        paths.truncate(MOST_PATHS);
+        paths.retain(|p| (-DISCOUNT * (p.hypothesis.cost - best)).exp() >= MIN_WEIGHT);
+        paths.truncate(MAX_PATHS);
         self.paths = of_one_surface(paths, blocks, |p| &p.hypothesis);
         self.solved = blocks;
         while self.search_at <= self.solved {

@@ -84,3 +84,23 @@ pub struct Reading {
     /// What happened since the reading before is not known.
     pub gap: bool,
 }
+
+impl Reading {
+    /// A reading of whose motion nothing is known.
+    #[must_use]
+    pub fn alone(point: i64, t_s: f64, moments: Option<Moments>) -> Self {
+        Self {
+            point,
+            t_s,
+            flags: Flags::default(),
+            moments,
+            motion: Err(MotionUnknown::Unknown),
+            base: None,
+            base_mm_s: None,
+            velocity_mm_s: None,
+            touching: None,
+            in_prefix: false,
+            gap: false,
+        }
+    }
+}

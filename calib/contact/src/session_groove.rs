@@ -9,7 +9,7 @@ use crate::groove_comparison::{Compared, coverage_rejected, groove_sentence, gro
 use crate::known_motion::contact_path::ContactPath;
 use crate::known_motion::{
     CorrelatedNoise, Disagreement, Episode, EpisodeContact, EpisodeEstimate, Friction, MomentField,
-    MotionRow, MotionUnknown, Region, Settings, bound_mm, estimate_contact,
+    MotionRow, Region, Settings, bound_mm, estimate_contact,
 };
 use crate::reading::{Moments, Reading};
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
@@ -288,20 +288,8 @@ pub fn session_readings(
             zero_nmm2: Matrix2::zeros(),
             shared_nmm: r.shared_nmm.clone(),
         };
-        Reading {
-            point: system.row(r.reading).point,
-            t_s: r.t_s,
-            flags: Flags::default(),
-            moments: Some(moments),
-            // Each trajectory has its own way, which the estimator knows.
-            motion: Err(MotionUnknown::Unknown),
-            base: None,
-            base_mm_s: None,
-            velocity_mm_s: None,
-            touching: None,
-            in_prefix: false,
-            gap: false,
-        }
+        // Each trajectory has its own way, which the estimator knows.
+        Reading::alone(system.row(r.reading).point, r.t_s, Some(moments))
     };
     let readings = motion.readings.iter().map(one).collect();
     let order = motion.readings.iter().map(|r| r.reading).collect();

@@ -3,7 +3,7 @@
 use crate::ContactError;
 use crate::groove_table::known_places;
 use crate::known_groove::{KnownPlace, velocities};
-use crate::known_motion::{Motion, MotionUnknown};
+use crate::known_motion::Motion;
 use crate::motion_table::{LoggedMotion, is_motion_column};
 use crate::reading::{Moments, Reading, RowMotion};
 use nalgebra::{Isometry3, Matrix2, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
@@ -147,19 +147,9 @@ impl TableSource {
             zero_nmm2: Matrix2::zeros(),
             shared_nmm: s.shared_nmm.clone(),
         };
-        Reading {
-            point: row.point,
-            t_s: row.t_s.unwrap_or_default(),
-            flags: if usable { Flags::default() } else { Flags::REFERENCE_LOST },
-            moments: usable.then_some(moments),
-            motion: Err(MotionUnknown::Unknown),
-            base: None,
-            base_mm_s: None,
-            velocity_mm_s: None,
-            touching: None,
-            in_prefix: false,
-            gap: false,
-        }
+        let flags = if usable { Flags::default() } else { Flags::REFERENCE_LOST };
+        let alone = Reading::alone(row.point, row.t_s.unwrap_or_default(), usable.then_some(moments));
+        Reading { flags, ..alone }
     }
 }
 

@@ -138,8 +138,6 @@ pub fn beginning(readings: &[Reading], zero_known: bool) -> FreeStart {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::known_motion::MotionUnknown;
-    use wcal_core::stream::Flags;
 
     fn reading(k: usize, moment_nmm: [f64; 2]) -> Reading {
         let moments = Moments {
@@ -152,19 +150,7 @@ mod tests {
             zero_nmm2: Matrix2::zeros(),
             shared_nmm: vec![[0.05 + 0.1 * moment_nmm[0], 0.0]],
         };
-        Reading {
-            point: k as i64,
-            t_s: 0.1 * k as f64,
-            flags: Flags::default(),
-            moments: Some(moments),
-            motion: Err(MotionUnknown::Unknown),
-            base: None,
-            base_mm_s: None,
-            velocity_mm_s: None,
-            touching: None,
-            in_prefix: false,
-            gap: false,
-        }
+        Reading::alone(k as i64, 0.1 * k as f64, Some(moments))
     }
 
     /// Ten free readings at a zero, then a contact.

@@ -14,7 +14,6 @@ use wcal_contact::static_arc::StaticArc;
 use wcal_contact::track_table::TrackRow;
 use wcal_contact::whisker_track::{WhiskerFacts, WhiskerTrack};
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
-use wcal_core::stream::Flags;
 use wcal_core::wire_frame::WireFrame;
 use wcal_rod::Rod;
 
@@ -77,17 +76,9 @@ impl Session {
                 push: None,
             };
             Reading {
-                point: k as i64,
-                t_s: 0.1 * k as f64,
-                flags: Flags::default(),
-                moments: Some(moments),
                 motion: Ok(motion),
-                base: None,
-                base_mm_s: None,
                 velocity_mm_s: Some(motion.velocity_mm_s * -1.0),
-                touching: None,
-                in_prefix: false,
-                gap: false,
+                ..Reading::alone(k as i64, 0.1 * k as f64, Some(moments))
             }
         };
         (0..44).map(one).collect()

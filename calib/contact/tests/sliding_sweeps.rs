@@ -108,19 +108,7 @@ fn readings(rows: &[MotionRow]) -> impl Iterator<Item = Reading> + '_ {
             piece: 0,
             push: None,
         };
-        Reading {
-            point: k as i64,
-            t_s: row.t_s,
-            flags: Flags::default(),
-            moments: Some(moments),
-            motion: Ok(motion),
-            base: None,
-            base_mm_s: None,
-            velocity_mm_s: None,
-            touching: None,
-            in_prefix: false,
-            gap: false,
-        }
+        Reading { motion: Ok(motion), ..Reading::alone(k as i64, row.t_s, Some(moments)) }
     })
 }
 

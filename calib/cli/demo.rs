@@ -1,17 +1,13 @@
 //! `wcal demo`: the whole loop on the recordings that come with the project.
 
-mod picture;
-
 use crate::output::{OutputFolder, Overwrite, ResultKind};
-use crate::page_files::read_page;
 use crate::verify::{self, VerifyOrder, print_text, verify_session};
-use anyhow::{Context, bail};
+use anyhow::Context;
 use clap::Args;
-use picture::sweep_picture;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::files::write_atomic;
-use wcal_report::{IndexEntry, Page, render_index};
+use wcal_report::{IndexEntry, render_index};
 use wcal_session::load;
 
 /// Arguments of `wcal demo`.
@@ -96,6 +92,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
     }
     let progress = crate::progress::Progress::new("demo");
     write_session(&args.out, &SWEEP)?;
+    let mut entries = Vec::new();
     for r in RECORDINGS {
         eprintln!("{} ...", r.name);
         let out = args.out.join(r.name);
@@ -114,10 +111,11 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         let report = verify_session(&session, &mut results, &order)?;
         results.finish()?;
         print_text(&report, &out);
+        entries.push(IndexEntry::of(&report, format!("{}/report.html", r.name)));
     }
     track_bottle(&args.out)?;
     drop(progress);
-    println!("report: {}", write_index(&args.out)?.display());
+    println!("report: {}", write_index(&args.out, &entries)?.display());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -146,26 +144,8 @@ fn track_bottle(place: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Folders of a demonstration's recordings, in their order; none where it is no demonstration.
-pub fn folders(place: &Path) -> Vec<PathBuf> {
-    let folders: Vec<PathBuf> = RECORDINGS.iter().map(|r| place.join(r.name)).collect();
-    if folders.iter().all(|f| f.join("report.json").is_file()) { folders } else { Vec::new() }
-}
-
-/// Writes the first page from what the recordings' folders say; its path.
-///
-/// # Errors
-/// Where one of their documents is not what it should be, or the disk does not take the page.
-pub fn write_index(place: &Path) -> anyhow::Result<PathBuf> {
-    let mut entries = Vec::new();
-    for r in RECORDINGS {
-        let stored = place.join(r.name).join("report.json");
-        let page = read_page(&stored).with_context(|| stored.display().to_string())?;
-        let Page::Session(report) = page else {
-            bail!("{}: expected a session's page, found another", stored.display());
-        };
-        entries.push(IndexEntry::of(&report, format!("{}/report.html", r.name)));
-    }
+/// Writes the first page; its path.
+fn write_index(place: &Path, entries: &[IndexEntry]) -> anyhow::Result<PathBuf> {
     let introduction = [
         "Three recordings that come with the program, through the whole residual loop: what does the declared model lack, and how far \
          does the error on readings that it was not fitted to fall once that is added?",
@@ -173,8 +153,7 @@ pub fn write_index(place: &Path) -> anyhow::Result<PathBuf> {
          seen, the sweep of the same whisker over a bottle (bottle/track.csv has its contacts). pontius: a load cell of NIST, declared as a \
          straight line. case-004: a whisker bench without any effect.",
     ];
-    let picture = sweep_picture(place).context("picture of the sweep")?;
     let page = place.join("report.html");
-    write_atomic(&page, render_index(TITLE, &introduction, Some(&picture), &entries).as_bytes())?;
+    write_atomic(&page, render_index(TITLE, &introduction, entries).as_bytes())?;
     Ok(page)
 }

@@ -148,7 +148,6 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
 
     out.put("calibration.json", serde_json::to_vec_pretty(&calibration)?);
     out.put("fit-gpr.json", serde_json::to_vec_pretty(&result)?);
-    out.put("report.html", wcal_report::render_map(&result));
     out.finish()?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&result)?);

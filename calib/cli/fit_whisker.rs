@@ -52,7 +52,7 @@ const DOUBTFUL: f64 = 3.0;
 
 The keys of [whisker] in whisker.toml are those of session.toml. The standard deviations hold what differs between shapes and, where
 shapes.json states them (shared_errors), the errors that all shapes share: cameras, light across the wire, form of its end. whisker.xml is the wire as a MuJoCo model (40 links, nominal NiTi stiffness, a
-damping of 0.02 s and a hard contact unless --dynamics fits them: dynamics.csv and dynamics.html then hold every trial). Exit code 3: fitted, with shapes left out or residuals past what is stated.")]
+damping of 0.02 s and a hard contact unless --dynamics fits them: dynamics.csv then holds every trial). Exit code 3: fitted, with shapes left out or residuals past what is stated.")]
 pub struct FitWhiskerArgs {
     /// Shapes by `wcal stereo-shape`
     pub shapes: PathBuf,
@@ -114,7 +114,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     command: "fit-whisker",
     document: "whisker.toml",
     format_prefix: "wcal-whisker/",
-    files: &["whisker.xml", "dynamics.csv", "dynamics.html", "dynamics.json"],
+    files: &["whisker.xml", "dynamics.csv"],
     kept: &[],
     resumes: false,
 };

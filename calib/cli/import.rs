@@ -8,9 +8,12 @@ use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::simulated::word;
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
-use std::path::PathBuf;
+use schemars::JsonSchema;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_contact::sweep_session::PLACED_SD_MM;
+use wcal_core::InputFile;
 use wcal_core::text::Encoding;
 use wcal_session::{Separator, SessionFiles, TextTableLayout, read_text_table, write_session};
 
@@ -290,10 +293,18 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     let rows = table.rows.len();
     let warnings: Vec<String> = session.warnings.iter().map(ToString::to_string).chain(repeated).collect();
     if args.json {
-        let kind = name_of(args.kind);
-        let document = serde_json::json!({ "format": "wcal-import/1", "session": session.id, "kind": kind,
-            "folder": args.out, "simulated": session.simulated, "rows": rows, "holdout_rows": holdout.map_or(0, |h| h.rows.len()),
-            "columns_left_out": left_out, "warnings": warnings, "inputs": session.inputs });
+        let document = ImportDocument {
+            format: "wcal-import/1",
+            session: &session.id,
+            kind: &name_of(args.kind),
+            folder: &args.out,
+            simulated: session.simulated,
+            rows,
+            holdout_rows: holdout.map_or(0, |h| h.rows.len()),
+            columns_left_out: &left_out,
+            warnings: &warnings,
+            inputs: &session.inputs,
+        };
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
         println!("{}: {rows} rows, session {:?}{}", args.out.display(), session.id, word(session.simulated));
@@ -305,6 +316,33 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
         eprintln!("warning: {warning}");
     }
     Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
+}
+
+/// A table that became a session.
+#[derive(Serialize, JsonSchema)]
+pub struct ImportDocument<'a> {
+    /// Format and version.
+    #[schemars(extend("const" = "wcal-import/1"))]
+    format: &'static str,
+    /// Identifier.
+    session: &'a str,
+    /// Kind.
+    #[schemars(extend("enum" = ["whisker", "transducer", "axis", "sweep"]))]
+    kind: &'a str,
+    /// Folder.
+    folder: &'a Path,
+    /// Marked as simulated.
+    simulated: bool,
+    /// Rows.
+    rows: usize,
+    /// Sealed rows.
+    holdout_rows: usize,
+    /// Columns of the table that the session does not have.
+    columns_left_out: &'a [String],
+    /// Remarks.
+    warnings: &'a [String],
+    /// Files written; none of a sweep.
+    inputs: &'a [InputFile],
 }
 
 fn layout(args: &ImportArgs) -> TextTableLayout {

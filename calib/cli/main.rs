@@ -12,17 +12,14 @@ mod explain;
 mod fit_gpr;
 mod fit_whisker;
 mod import;
-mod init;
 mod interrupt;
 mod labels;
 mod output;
-mod page_files;
 mod picture_output;
 mod plan_check;
 mod predict;
 mod progress;
 mod reduce;
-mod report;
 mod report_input;
 mod session_folder;
 mod simulate;
@@ -36,6 +33,12 @@ mod twin;
 mod unseal_record;
 mod verify;
 mod virtual_bench;
+
+#[cfg(test)]
+#[path = "../../tests/support/json_reference.rs"]
+mod json_reference;
+#[cfg(test)]
+mod schemas_test;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
@@ -80,8 +83,6 @@ enum Command {
     Train(train::TrainArgs),
     /// Contact points from a recording of wavelengths, through a calibration and a trained tracker
     Track(track::TrackArgs),
-    /// The page of a result again, from its stored documents
-    Report(report::ReportArgs),
     /// Score a trained tracker beside the baselines
     Evaluate(evaluate::EvaluateArgs),
     /// Which effects a plan can distinguish, before anything is measured
@@ -97,8 +98,6 @@ enum Command {
     /// The file formats in short
     #[command(after_long_help = explain::FORMATS)]
     Formats,
-    /// Write commented templates
-    Init(init::InitArgs),
     /// Shell completions on stdout
     Completions {
         /// Shell
@@ -135,7 +134,6 @@ fn dispatch(asked: &Command) -> anyhow::Result<ExitCode> {
         Command::Simulate(args) => simulate::run(args),
         Command::Train(args) => train::run(args),
         Command::Track(args) => track::run(args),
-        Command::Report(args) => report::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::PlanCheck(args) => plan_check::run(args),
         Command::StageSweep(args) => stage_sweep::run(args),
@@ -143,7 +141,6 @@ fn dispatch(asked: &Command) -> anyhow::Result<ExitCode> {
         Command::VirtualBench(args) => virtual_bench::run(args),
         Command::Explain(args) => explain::run(args),
         Command::Formats => explain::formats(),
-        Command::Init(args) => init::run(args),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(*shell, &mut command(), "wcal", &mut script);

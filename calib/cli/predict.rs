@@ -5,7 +5,9 @@ use crate::picture_output::provenance;
 use crate::simulated::{is_simulated, mark_table};
 use crate::unseal_record::UnsealRecord;
 use clap::Args;
-use std::path::PathBuf;
+use schemars::JsonSchema;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_calibration::{read_calibration, standing};
 
@@ -73,12 +75,35 @@ pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     }
     if args.json {
         let (rows, name) = (applied.rows, file.model.name());
-        let summary = serde_json::json!({
-            "format": "wcal-predict/1", "simulated": simulated, "rows": rows, "map": name, "doubts": doubts, "out": args.out,
-        });
+        let summary = PredictionDocument {
+            format: "wcal-predict/1",
+            simulated,
+            rows,
+            map: name,
+            doubts: &doubts,
+            out: &args.out,
+        };
         println!("{}", serde_json::to_string_pretty(&summary)?);
     }
     Ok(ExitCode::from(if doubts.is_empty() || args.force { 0 } else { 4 }))
+}
+
+/// Summary of a prediction.
+#[derive(Serialize, JsonSchema)]
+pub struct PredictionDocument<'a> {
+    /// Format and version.
+    #[schemars(extend("const" = "wcal-predict/1"))]
+    format: &'static str,
+    /// The calibration or the readings are not measured.
+    simulated: bool,
+    /// Rows.
+    rows: usize,
+    /// Model that was applied.
+    map: &'a str,
+    /// What speaks against trusting it.
+    doubts: &'a [String],
+    /// The table.
+    out: &'a Path,
 }
 
 /// Whether a table with this first line is a result of `predict`.

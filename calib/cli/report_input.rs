@@ -3,8 +3,8 @@
 use wcal_core::verify_document::VerifyDocument;
 use wcal_core::{Provenance, Role, WhiskerData};
 use wcal_report::{
-    EvidenceRow, Explanation, Fact, GateTest, Isolability, NamedError, ReportInput, RodBranch, TwinMark,
-    TwinTrajectory, model_after,
+    EvidenceRow, Explanation, Fact, GateTest, NamedError, ReportInput, RodBranch, TwinMark, TwinTrajectory,
+    model_after,
 };
 use wcal_session::LoadedSession;
 use wcal_trace::method::hypothesis::Evidence;
@@ -75,11 +75,6 @@ pub fn of_whisker(
         gate: gates([found.first_test.p_values(), found.last_test.p_values()], after),
         twin: twin(done),
         evidence: evidence(&found.evidence),
-        isolability: Some(&done.isolability).filter(|c| c.names.len() > 1).map(|c| Isolability {
-            names: c.names.clone(),
-            cosine: c.all.clone(),
-            cosine_without_pictures: c.without_pictures.clone(),
-        }),
         explanations: explanations(&found.evidence),
         versions: versions(),
         ..ReportInput::new(done.document.clone(), provenance)

@@ -1,10 +1,10 @@
 //! `wcal simulate`: sweeps of the simulated whisker over objects, as shards.
 
-mod document;
+pub mod document;
 mod inputs;
 mod order;
 mod report;
-mod slurm;
+pub mod slurm;
 
 use crate::output::{Overwrite, ResultKind};
 use crate::picture_output::write;
@@ -95,7 +95,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     command: "simulate",
     document: "*.json",
     format_prefix: "\"wcal-sweep",
-    files: &["*.parquet", "report.html", "report.json"],
+    files: &["*.parquet", "report.html"],
     kept: &["convex", "slurm"],
     resumes: true,
 };
@@ -152,8 +152,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     let document = order.write_document(args, &totals, missing)?;
     if args.report {
         let page = report::page(&document, &args.out, &dataset.shards())?;
-        write(&args.out, "report.json", page.to_json()?.as_bytes())?;
-        write(&args.out, "report.html", page.render().as_bytes())?;
+        write(&args.out, "report.html", wcal_report::render_sweeps(&page).as_bytes())?;
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&document)?);

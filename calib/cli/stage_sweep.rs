@@ -3,7 +3,8 @@
 use crate::{interrupt, reduce};
 use anyhow::{Context, Result, anyhow};
 use clap::Args;
-use serde_json::json;
+use schemars::JsonSchema;
+use serde::Serialize;
 use std::io::{BufRead, IsTerminal, Write};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -176,15 +177,82 @@ fn in_this_process(rig: &str) -> Result<String> {
     Ok(toml::to_string(&rig)?)
 }
 
+/// The steps of a plan on a rig.
+#[derive(Serialize, JsonSchema)]
+pub struct PathDocument {
+    /// Format and version.
+    #[schemars(extend("const" = "wcal-path/1"))]
+    format: &'static str,
+    /// Settled readings.
+    readings: usize,
+    /// Estimated duration, s.
+    duration_s: f64,
+    /// In order.
+    steps: Vec<Step>,
+}
+
+/// What a sweep recorded.
+#[derive(Serialize, JsonSchema)]
+pub struct SweepDocument<'a> {
+    /// Format and version.
+    #[schemars(extend("const" = "wcal-sweep/1"))]
+    format: &'static str,
+    /// Folder.
+    session: &'a Path,
+    /// From simulated devices.
+    simulated: bool,
+    /// How it ended.
+    #[schemars(extend("enum" = ["finished", "stopped"]))]
+    ending: &'static str,
+    /// What was lost or not as it should be.
+    warnings: Vec<String>,
+    /// Why it stopped.
+    cause: Option<CauseDocument>,
+    /// The stage confirmed its stop.
+    stage_stopped: bool,
+    /// Steps done.
+    steps_done: usize,
+    /// Readings whose signal did not settle.
+    unsettled: usize,
+    /// Scans.
+    scans: u64,
+    /// Gaps.
+    gaps: u64,
+    /// Scans lost.
+    lost_scans: u64,
+    /// Questions to the stage that were repeated.
+    stage_repeats: u64,
+    /// Pairs of pictures.
+    camera_pairs: u64,
+    /// Pairs refused.
+    camera_pairs_refused: u64,
+    /// Largest skew of a pair, ms.
+    worst_skew_ms: f64,
+    /// Rows; null where reducing failed.
+    rows: Option<usize>,
+    /// Holdout rows; null where reducing failed.
+    holdout: Option<usize>,
+    /// Delay between stage and stream at each sync move, s.
+    lag_s: Option<&'a [f64]>,
+}
+
+/// Why a sweep stopped.
+#[derive(Serialize, JsonSchema)]
+struct CauseDocument {
+    /// Kind of the fault.
+    kind: &'static str,
+    /// In words.
+    text: String,
+}
+
 fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<ExitCode> {
     let (rig, plan, steps) =
         plan_only((&rig.0.display().to_string(), rig.1), (&plan.0.display().to_string(), plan.1))?;
     let readings = steps.iter().filter(|s| matches!(s, Step::Settled(_))).count();
     let time_s = duration_s(&steps, &rig, &plan);
     if as_json {
-        let document =
-            json!({"format": "wcal-path/1", "readings": readings, "duration_s": time_s, "steps": steps});
-        println!("{document}");
+        let document = PathDocument { format: "wcal-path/1", readings, duration_s: time_s, steps };
+        println!("{}", serde_json::to_string(&document)?);
     } else {
         print!("{}", draw(&steps, &rig));
         println!("{readings} settled readings, about {:.0} min; limits hold", (time_s / 60.0).ceil());
@@ -207,17 +275,32 @@ fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
     }
     let tables = recorded.reduction.as_ref().ok();
     if as_json {
-        let document = json!({
-            "format": "wcal-sweep/1", "session": folder, "simulated": recorded.simulated, "ending": ending, "warnings": warnings,
-            "cause": cause.map(|c| json!({"kind": c.kind.name(), "text": c.to_string()})),
-            "stage_stopped": match sweep.ending { Ending::Stopped { stage_stopped, .. } => stage_stopped, Ending::Finished => true },
-            "steps_done": sweep.done, "unsettled": sweep.unsettled, "scans": sweep.counts.scans,
-            "gaps": sweep.counts.gaps, "lost_scans": sweep.counts.lost, "stage_repeats": recorded.repeats,
-            "camera_pairs": sweep.counts.pairs, "camera_pairs_refused": sweep.counts.pairs_refused,
-            "worst_skew_ms": sweep.counts.worst_skew_ms,
-            "rows": tables.map(|r| r.rows), "holdout": tables.map(|r| r.holdout), "lag_s": tables.map(|r| &r.lag_s),
-        });
-        println!("{document}");
+        let stage_stopped = match sweep.ending {
+            Ending::Stopped { stage_stopped, .. } => stage_stopped,
+            Ending::Finished => true,
+        };
+        let document = SweepDocument {
+            format: "wcal-sweep/1",
+            session: folder,
+            simulated: recorded.simulated,
+            ending,
+            warnings,
+            cause: cause.map(|c| CauseDocument { kind: c.kind.name(), text: c.to_string() }),
+            stage_stopped,
+            steps_done: sweep.done,
+            unsettled: sweep.unsettled,
+            scans: sweep.counts.scans,
+            gaps: sweep.counts.gaps,
+            lost_scans: sweep.counts.lost,
+            stage_repeats: recorded.repeats,
+            camera_pairs: sweep.counts.pairs,
+            camera_pairs_refused: sweep.counts.pairs_refused,
+            worst_skew_ms: sweep.counts.worst_skew_ms,
+            rows: tables.map(|r| r.rows),
+            holdout: tables.map(|r| r.holdout),
+            lag_s: tables.map(|r| r.lag_s.as_slice()),
+        };
+        println!("{}", serde_json::to_string(&document)?);
         return Ok(());
     }
     if let Some(cause) = cause {

@@ -4,27 +4,19 @@ use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
 use anyhow::Context;
+use clap::Args;
 use clap::builder::PossibleValuesParser;
-use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_vision::calibrate::board::{Board, Pattern, TagOrder};
 use wcal_vision::calibrate::chessboard::BoardSize;
 use wcal_vision::calibrate::folders::calibrate_folders;
-use wcal_vision::calibrate::import::read_cameras;
-use wcal_vision::calibrate::reference::differences;
 use wcal_vision::camera::lens::{Lens, OPENCV5, lens_named, lenses};
 use wcal_vision::pairs::list_pictures;
 
-/// What is on the board.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-pub enum PatternName {
-    /// Plain squares.
-    Chessboard,
-    /// Squares with ArUco markers.
-    Charuco,
-    /// A grid of AprilTags.
-    Aprilgrid,
+/// Names of all patterns.
+fn patterns() -> impl Iterator<Item = &'static str> {
+    ["chessboard", "charuco", "charuco-legacy"].into_iter().chain(TagOrder::all().map(|o| o.0))
 }
 
 /// Arguments of `wcal stereo-calibrate`.
@@ -45,32 +37,18 @@ pub struct StereoCalibrateArgs {
     /// Side of a square, mm (for an AprilGrid: of a tag)
     #[arg(long, value_name = "MM")]
     pub square_mm: f64,
-    /// The squares are smaller than 0.5 mm: without this such a number is taken for metres and refused
-    #[arg(long)]
-    pub small_squares: bool,
-    /// What is on the board
-    #[arg(long, value_enum, default_value_t = PatternName::Chessboard)]
-    pub pattern: PatternName,
+    /// What is on the board: charuco-legacy is laid out as before OpenCV 4.6; the tags of an aprilgrid are numbered as Kalibr's, or else as the name says
+    #[arg(long, default_value = "chessboard", value_parser = PossibleValuesParser::new(patterns()))]
+    pub pattern: String,
     /// Side of a marker, mm (ChArUco); gap between tags, mm (AprilGrid)
     #[arg(long, value_name = "MM")]
     pub marker_mm: Option<f64>,
     /// Dictionary (ChArUco) or family (AprilGrid)
     #[arg(long, value_name = "NAME")]
     pub dictionary: Option<String>,
-    /// The ChArUco board is laid out as before OpenCV 4.6: with an even number of rows of squares it begins with a light one
-    #[arg(long)]
-    pub legacy_charuco: bool,
-    /// How an AprilGrid's upright tags are numbered; Kalibr's begin at the lower left and run along the rows
-    #[arg(long, value_name = "ORDER", default_value = "rows-from-lower-left",
-          value_parser = PossibleValuesParser::new(TagOrder::all().map(|o| o.0)))]
-    pub tag_order: String,
     /// Model of both cameras' lenses: opencv5 (five coefficients) for normal and mildly wide ones, fisheye (Kannala-Brandt, equidistant) for fields up to nearly 180 degrees
     #[arg(long, value_name = "MODEL", default_value = OPENCV5.model(), value_parser = PossibleValuesParser::new(lenses().map(Lens::model)))]
     pub lens: String,
-    /// An earlier calibration of these cameras, or another tool's (stereo.json, OpenCV, Kalibr, both ROS files): warns where they
-    /// differ in scale, sides, focal lengths or the convention for pixel centres, which no picture shows by itself
-    #[arg(long, num_args = 1..=2, value_name = "FILE")]
-    pub reference: Vec<PathBuf>,
     /// Folder for stereo.json and its exports
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -101,8 +79,8 @@ const RESULT: ResultKind<'_> = ResultKind {
     resumes: false,
 };
 
-/// Boards with smaller squares than this, mm, are made of glass; other programs ask for metres.
-const SMALL_SQUARE_MM: f64 = 0.5;
+/// Smallest side of a square, mm; other programs ask for metres.
+const MIN_SQUARE_MM: f64 = 0.5;
 
 /// Runs the command: 0, or 3 where views were left out or warnings matter.
 ///
@@ -115,31 +93,29 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         args.square_mm
     );
     anyhow::ensure!(
-        args.square_mm >= SMALL_SQUARE_MM || args.small_squares,
-        "--square-mm {}: expected millimetres, found less than {SMALL_SQUARE_MM}: is it {} mm, given in metres? If the squares are that small, \
-         say so with --small-squares",
+        args.square_mm >= MIN_SQUARE_MM,
+        "--square-mm {}: expected at least {MIN_SQUARE_MM} mm: is it {} mm, given in metres?",
         args.square_mm,
         1e3 * args.square_mm
     );
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let marker = || args.marker_mm.context("--marker-mm is needed for this pattern");
-    let pattern = match args.pattern {
-        PatternName::Chessboard => Pattern::Chessboard,
-        PatternName::Charuco => Pattern::Charuco {
+    let pattern = match args.pattern.as_str() {
+        "chessboard" => Pattern::Chessboard,
+        charuco @ ("charuco" | "charuco-legacy") => Pattern::Charuco {
             marker_mm: marker()?,
             dictionary: args
                 .dictionary
                 .clone()
                 .context("--dictionary is needed for ChArUco boards, e.g. DICT_4X4_50")?,
-            legacy: args.legacy_charuco,
+            legacy: charuco == "charuco-legacy",
         },
-        PatternName::Aprilgrid => Pattern::AprilGrid {
+        aprilgrid => Pattern::AprilGrid {
             gap_mm: marker()?,
             family: args.dictionary.clone().unwrap_or_else(|| "tag36h11".into()),
-            order: TagOrder::all().find(|o| o.0 == args.tag_order).map(|o| o.1).unwrap_or_default(),
+            order: TagOrder::all().find(|o| o.0 == aprilgrid).map(|o| o.1).unwrap_or_default(),
         },
     };
-    let reference = (!args.reference.is_empty()).then(|| read_cameras(&args.reference)).transpose()?;
     let lens = lens_named(&args.lens, Lens::model).map_err(anyhow::Error::msg)?;
     let board = Board { size: args.board, square_mm: args.square_mm, pattern };
     let (mut document, _) = {
@@ -147,10 +123,7 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         calibrate_folders(&args.left, &args.right, &board, lens, &|stage| progress.stage(stage))?
     };
     let pictures = [list_pictures(&args.left)?, list_pictures(&args.right)?].concat();
-    document.provenance = provenance(pictures.iter().chain(&args.reference).map(PathBuf::as_path));
-    if let Some(reference) = &reference {
-        document.warnings.extend(differences(&document, reference));
-    }
+    document.provenance = provenance(pictures.iter().map(PathBuf::as_path));
     // Before anything is written: they say why a board that is stated wrongly gives no cameras.
     for view in &document.rejected_views {
         eprintln!("stereo-calibrate: {} left out: {}", view.view, view.why);

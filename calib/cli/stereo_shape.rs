@@ -3,7 +3,6 @@
 mod session;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
-use crate::page_files::put_page;
 use crate::picture_output::provenance;
 use crate::progress::Progress;
 use anyhow::Context;
@@ -13,7 +12,7 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::shapes_document::{PairDocument, ShapesSource, rig_sha256};
-use wcal_report::{Fact, Page, ShapePair, ShapePicture, ShapesInput};
+use wcal_report::{Fact, ShapePair, ShapePicture, ShapesInput, render_shapes};
 use wcal_vision::calibrate::import::read_cameras;
 use wcal_vision::pairs::{PairFiles, list_pictures, pair_files};
 use wcal_vision::picture::Picture;
@@ -26,7 +25,7 @@ use wcal_vision::stereo::StereoCameras;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   wcal stereo-shape SESSION --cameras calibration/stereo.json
-  wcal stereo-shape scene/left scene/right --cameras calibration/stereo.json --rig rig.toml --out shapes --report
+  wcal stereo-shape scene/left scene/right --cameras calibration/stereo.json --rig rig.toml --out shapes
 
 For a session, the pairs of its settled poses and its own rig are used. shapes.json is written into the session and named in session.toml.
 Pairs of the holdout's poses are fitted separately, into shapes-holdout.json.
@@ -46,19 +45,12 @@ pub struct StereoShapeArgs {
     /// Rig: whisker, tags, groove; a session has its own
     #[arg(long, value_name = "rig.toml", requires = "right")]
     pub rig: Option<PathBuf>,
-    /// Pictures of the same scene without the wire, left and right (a picture, a folder or a pattern; several are averaged).
-    /// They are subtracted, so that cables and texture are not mistaken for the wire
-    #[arg(long, num_args = 2, value_names = ["LEFT", "RIGHT"])]
-    pub background: Option<Vec<String>>,
-    /// Folder for shapes.json and the report; for a session, the report only
+    /// Folder for shapes.json and report.html (annotated pictures, residuals, a rotatable 3D view); for a session, the page only
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
-    /// Write report.html: annotated pictures, residuals, and a rotatable 3D view; works offline
-    #[arg(long, requires = "out")]
-    pub report: bool,
     /// Print shapes.json on stdout
     #[arg(long)]
     pub json: bool,
@@ -68,8 +60,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     command: "stereo-shape",
     document: "shapes.json",
     format_prefix: "wcal-shapes/",
-    // Pictures of earlier versions, which would be stale.
-    files: &["report.html", "report.json", "overlay-*.png"],
+    files: &["report.html"],
     kept: &[],
     resumes: false,
 };
@@ -108,7 +99,6 @@ struct Shaper {
     stereo: StereoCameras,
     rig: Rig,
     rig_file: PathBuf,
-    background: Option<[Picture; 2]>,
     /// Files read besides the pairs.
     read: Vec<PathBuf>,
     source: ShapesSource,
@@ -118,14 +108,7 @@ impl Shaper {
     fn new(args: &StereoShapeArgs, rig_file: PathBuf) -> anyhow::Result<Self> {
         let stereo = read_cameras(&args.cameras)?.stereo_cameras().map_err(anyhow::Error::msg)?;
         let rig = Rig::read(&rig_file)?;
-        let mut read: Vec<PathBuf> = args.cameras.iter().chain([&rig_file]).cloned().collect();
-        let background = match args.background.as_deref() {
-            Some([left, right]) => Some([
-                empty_scene(left, stereo.cameras[0].image_size_px, &mut read)?,
-                empty_scene(right, stereo.cameras[1].image_size_px, &mut read)?,
-            ]),
-            _ => None,
-        };
+        let read: Vec<PathBuf> = args.cameras.iter().chain([&rig_file]).cloned().collect();
         let mut calibration = Vec::new();
         for file in &args.cameras {
             calibration
@@ -138,7 +121,7 @@ impl Shaper {
             rig_sha256: rig_sha256(&serde_json::to_value(&table)?),
             session: None,
         };
-        Ok(Self { stereo, rig, rig_file, background, read, source })
+        Ok(Self { stereo, rig, rig_file, read, source })
     }
 
     /// Shapes of pairs, with what they were made from; `session`: identifier of the session that they belong to.
@@ -149,7 +132,7 @@ impl Shaper {
                 let part = done.fetch_add(1, Ordering::Relaxed) as f64 / files.len() as f64;
                 progress.at(&format!("pair {name}"), part);
             };
-            shapes_of_pairs(&self.stereo, &self.rig, files, self.background.as_ref(), &each)
+            shapes_of_pairs(&self.stereo, &self.rig, files, &each)
         };
         if self.stereo.covariance.is_none() {
             result.document.warnings.push(format!(
@@ -174,9 +157,7 @@ fn put_results(
 ) -> anyhow::Result<()> {
     let Some(mut out) = out else { return Ok(()) };
     out.put("shapes.json", serde_json::to_string(&result.document)?);
-    if args.report {
-        put_report(args, shaper, result, files, &mut out)?;
-    }
+    put_report(args, shaper, result, files, &mut out)?;
     out.finish()
 }
 
@@ -206,25 +187,8 @@ fn judged(result: &ShapesResult) -> PairCounts {
             eprintln!("stereo-shape: {}: warning: {warning}", pair.name);
         }
     }
-    eprintln!("stereo-shape: {good} of {} pairs; processor time: {}", document.pairs.len(), result.times);
+    eprintln!("stereo-shape: {good} of {} pairs", document.pairs.len());
     PairCounts { good, clean }
-}
-
-/// Mean of the pictures without the wire; their files are added to `files`.
-fn empty_scene(source: &str, size_px: [usize; 2], files: &mut Vec<PathBuf>) -> anyhow::Result<Picture> {
-    let listed = list_pictures(source)?;
-    let pictures = listed.iter().map(|p| Picture::read(p)).collect::<Result<Vec<_>, _>>()?;
-    let mean = Picture::mean(&pictures)?;
-    anyhow::ensure!(
-        [mean.width, mean.height] == size_px,
-        "background {source}: expected {}x{} px as calibrated, found {}x{}",
-        size_px[0],
-        size_px[1],
-        mean.width,
-        mean.height
-    );
-    files.extend(listed);
-    Ok(mean)
 }
 
 /// `report.html`: the shapes in space, and every usable pair.
@@ -274,7 +238,8 @@ fn put_report(
         rejected: rejected.map(|p| [p.name.clone(), p.why.clone()]).collect(),
         pairs,
     };
-    put_page(out, "report", &Page::Shapes(input))
+    out.put("report.html", render_shapes(&input));
+    Ok(())
 }
 
 /// A pair's numbers in words.

@@ -2,10 +2,10 @@
 
 mod mujoco;
 
-use crate::output::{Overwrite, check_beside, check_file, write_file};
+use crate::output::{Overwrite, check_file, write_file};
 use crate::progress::Progress;
 use crate::session_folder::expect_session;
-use anyhow::{bail, ensure};
+use anyhow::bail;
 use clap::{Args, ValueEnum};
 use nalgebra::Vector3;
 use std::fmt::Write as _;
@@ -13,7 +13,6 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_core::{Role, SessionData, WhiskerData, WhiskerRow};
 use wcal_mujoco::groove;
-use wcal_report::{Fact, Page, REPORT_FORMAT, TwinInput, is_page};
 use wcal_rod::{Line, Outcome, Rod, WORKING_STEP_MM};
 use wcal_session::load;
 
@@ -28,8 +27,7 @@ not-touched, snapped, slipped-off; where the wire is not held on the branch from
 rest, free (the wire is out of the groove), unstable (a step went wrong: no moment), several: the wire rests elsewhere when it is come to straight
 from the start or with less damping, so that its history and MuJoCo's version decide on the moment; every other place is printed with its moment,
 and where the session has labels of another twin, whose they are. MuJoCo runs with the released groove tip; preset released is the
-released cable, paper the measured one with the clamp right to second order. What the tip does to the moment is stated apart: its shape (play),
-its softness, its friction, in this order and so that they add up. Exit code 3: readings without a moment, not at rest, or with several equilibria.")]
+released cable, paper the measured one with the clamp right to second order. Exit code 3: readings without a moment, not at rest, or with several equilibria.")]
 pub struct TwinArgs {
     /// Session folder (kind "whisker")
     pub session: PathBuf,
@@ -39,12 +37,6 @@ pub struct TwinArgs {
     /// Which MuJoCo twin
     #[arg(long, value_enum, default_value = "paper")]
     pub preset: Preset,
-    /// Leave out the two further runs that state the groove tip's shape, friction and softness apart
-    #[arg(long)]
-    pub no_tip: bool,
-    /// Page to write, with the document that it is made of (NAME.json) beside it: the MuJoCo twin's own error, and what the groove's tip does to the moment
-    #[arg(long, value_name = "HTML")]
-    pub report: Option<PathBuf>,
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
@@ -81,17 +73,12 @@ const COLUMNS: &str = "point,moment_1_nmm,moment_2_nmm,contact_arclength_mm,bran
 pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
     expect_session(&args.session, "twin")?;
     check_file(&args.out, "twin", |first| first == COLUMNS, args.overwrite.force)?;
-    if let Some(page) = &args.report {
-        let own = |start: &str| is_page(start) || start.contains(REPORT_FORMAT);
-        check_beside(&[page.clone(), page.with_extension("json")], own, args.overwrite.force)?;
-    }
     let session = load(&args.session)?;
     let SessionData::Whisker(data) = &session.data else {
         bail!("twin: expected a session of kind \"whisker\", found {:?}", session.kind);
     };
     let lines = match args.engine {
         Engine::Rod => {
-            ensure!(args.report.is_none(), "--report: expected with --engine mujoco, found --engine rod");
             let progress = Progress::new("twin");
             progress.stage("rod");
             by_rod(data)?
@@ -101,13 +88,7 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
                 Preset::Released => groove::Preset::Released,
                 Preset::Paper => groove::Preset::Paper,
             };
-            let (lines, findings) = mujoco::by_mujoco(data, preset, !args.no_tip)?;
-            if let Some(path) = &args.report {
-                let page = page(args, &session.id, findings);
-                write_file(&path.with_extension("json"), page.to_json()?.as_bytes())?;
-                write_file(path, page.render().as_bytes())?;
-            }
-            lines
+            mujoco::by_mujoco(data, preset)?
         }
     };
     let mut text = format!("{COLUMNS}\n");
@@ -135,23 +116,6 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
     }
     eprintln!("twin: warning: no certain equilibrium at points {}", missing.join(", "));
     Ok(ExitCode::from(3))
-}
-
-fn page(args: &TwinArgs, session: &str, findings: mujoco::Findings) -> Page {
-    let preset = match args.preset {
-        Preset::Released => "released",
-        Preset::Paper => "paper",
-    };
-    Page::Twin(TwinInput {
-        title: format!("MuJoCo twin at the poses of {session}"),
-        facts: vec![
-            Fact::new("preset", preset),
-            Fact::new("poses in the tip's table", findings.poses.to_string()),
-        ],
-        findings: findings.lines,
-        tip: findings.tip,
-        poses: findings.poses,
-    })
 }
 
 /// A row's text behind the point, and whether its moment is certain.

@@ -1,15 +1,17 @@
 //! unsealed.json: which held-out files were opened, when and by which program.
 
 use anyhow::Context;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use wcal_core::{InputFile, Provenance, Purpose, Seal, Unsealing};
 use wcal_session::LoadedSession;
 
 /// A held-out file that was opened.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Unsealed {
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Unsealed {
     /// Hash of the file.
+    #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     sha256: String,
     /// Its path then.
     path: String,
@@ -22,10 +24,13 @@ struct Unsealed {
 /// Format tag of `unsealed.json`.
 const FORMAT: &str = "wcal-unsealed/1";
 
-/// `unsealed.json`: every held-out file that was opened, with when and by what.
-#[derive(Debug, Default, Serialize, Deserialize)]
-struct UnsealedFile {
+/// Held-out files that were opened, with when and by what; kept with the session.
+#[derive(Debug, Default, Serialize, Deserialize, JsonSchema)]
+pub struct UnsealedFile {
+    /// Format and version.
+    #[schemars(extend("const" = FORMAT))]
     format: String,
+    /// In order.
     opened: Vec<Unsealed>,
 }
 

@@ -5,7 +5,6 @@ mod text;
 pub use text::print_text;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
-use crate::page_files::put_page;
 use crate::progress::Progress;
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
@@ -26,7 +25,7 @@ use wcal_contact::sweep_verify::verify_with_sweep;
 use wcal_contact::sweep_witness::SweepWitness;
 use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, VerifyDocument};
 use wcal_core::{Provenance, SessionData, Unsealing, VerificationStatus, WhiskerData};
-use wcal_report::{Page, ReportInput};
+use wcal_report::ReportInput;
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
 use wcal_trace::method::options::{Options, ProgressListener};
 use wcal_trace::scalar::{ScalarData, verify_scalar};
@@ -66,7 +65,7 @@ pub struct VerifyArgs {
     /// Validity of the written calibration, days (`expires`); afterwards `predict` and `track` refuse it
     #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..36_500))]
     pub valid_days: Option<u32>,
-    /// Folder for verify.json, predictions.csv, report.html, report.json (input of `wcal report`) and calibration.json
+    /// Folder for verify.json, predictions.csv, report.html and calibration.json
     #[arg(long, value_name = "DIR", default_value = "verify-out")]
     pub out: PathBuf,
     /// Overwrite unrelated files
@@ -85,7 +84,7 @@ pub const RESULT: ResultKind<'_> = ResultKind {
     command: "verify",
     document: "verify.json",
     format_prefix: "wcal-verify/",
-    files: &["predictions.csv", "report.html", "report.json", "calibration.json", "judged-calibration.json"],
+    files: &["predictions.csv", "report.html", "calibration.json", "judged-calibration.json"],
     kept: &["unsealed.json"],
     resumes: false,
 };
@@ -274,7 +273,7 @@ pub fn verify_session(
         report.verify.calibration = Some(judged);
     }
     out.put("verify.json", serde_json::to_vec_pretty(&report.verify)?);
-    put_page(out, "report", &Page::Session(Box::new(report.clone())))?;
+    out.put("report.html", wcal_report::render(&report));
     Ok(report)
 }
 

@@ -132,7 +132,7 @@ fn folder(seed: u64, count: usize) -> (ShapesDocument, Vec<Truth>) {
     }
     let rig_file = fixture("stereo_bench/rig.toml");
     let mut document =
-        shapes_of_pairs(&calibrated(seed), &Rig::read(&rig_file).unwrap(), &files, None, &|_| {}).document;
+        shapes_of_pairs(&calibrated(seed), &Rig::read(&rig_file).unwrap(), &files, &|_| {}).document;
     let good: Vec<bool> = document.pairs.iter().map(|p| p.status == "ok").collect();
     for pair in document.pairs.iter().filter(|p| p.status != "ok") {
         println!("folder {seed}: {} rejected: {}", pair.name, pair.why);

@@ -13,7 +13,6 @@ mod board_statements;
 mod known_motion;
 mod passed_object;
 mod pictured_session;
-mod report;
 mod several_sessions;
 mod simulate;
 mod simulate_mujoco;

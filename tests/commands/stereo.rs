@@ -55,7 +55,7 @@ fn made() -> &'static Made {
         std::fs::copy(bench_file("scene/SIMULATED"), folder.join("scene/SIMULATED")).unwrap();
         let cameras = at("calibration/stereo.json");
         let shape = ["stereo-shape", &at("scene/left"), &at("scene/right"), "--cameras", &cameras];
-        let more = ["--rig", &rig(), "--out", &at("shapes"), "--report"];
+        let more = ["--rig", &rig(), "--out", &at("shapes")];
         let (code, output, text) = wcal(&[&shape[..], &more].concat());
         let shapes =
             std::fs::read(folder.join("shapes/shapes.json")).unwrap_or_else(|e| panic!("{e}: {text}"));
@@ -92,12 +92,12 @@ fn a_wrong_board_is_refused_and_a_side_in_metres_is_asked_about() {
     };
     let (code, _, text) = calibrate("6", "8x6");
     assert_eq!(code, 1, "{text}");
-    assert!(text.contains("wrong board size"), "{text}");
+    assert!(text.contains("8x6 inner corners"), "{text}");
     assert!(!Path::new(&refused).join("stereo.json").exists());
     assert_eq!(calibrate("6", "6").0, 2);
     let (code, _, text) = calibrate("0.006", "9x6");
     assert_eq!(code, 1, "{text}");
-    assert!(text.contains("is it 6 mm") && text.contains("--small-squares"), "{text}");
+    assert!(text.contains("is it 6 mm"), "{text}");
     assert!(!Path::new(&refused).exists());
 }
 
@@ -231,7 +231,7 @@ fn files_for_other_programs_say_where_pictures_are_rendered() {
     assert_eq!(code, 3, "{text}");
 }
 
-/// The exported cameras give the same shapes, with a warning that their errors are not known; a reference tells other pixel centres.
+/// The exported cameras give the same shapes, with a warning that their errors are not known.
 #[test]
 fn cameras_come_back_from_the_files_of_other_programs() {
     let (place, made) = (tempfile::tempdir().unwrap(), made());
@@ -270,35 +270,6 @@ fn cameras_come_back_from_the_files_of_other_programs() {
         let off = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(found.len() == expected.len() && off < 0.01, "{cameras:?}: {off} mm");
     }
-    let text = std::fs::read_to_string(export("opencv.yml")).unwrap();
-    let document: Value = serde_json::from_slice(&std::fs::read(export("stereo.json")).unwrap()).unwrap();
-    let mut shifted = text.clone();
-    for camera in document["cameras"].as_array().unwrap() {
-        for row in 0..2 {
-            let c = camera["K"][row][2].as_f64().unwrap();
-            shifted = shifted.replacen(&format!("{c:e}"), &format!("{:e}", c + 0.5), 1);
-        }
-    }
-    assert_ne!(text, shifted);
-    std::fs::write(at("shifted.yml"), shifted).unwrap();
-    let (left, right, again) = (at("whole/left"), at("whole/right"), at("again"));
-    let calibrate = [
-        "stereo-calibrate",
-        &left,
-        &right,
-        "--board",
-        "9x6",
-        "--square-mm",
-        "6",
-        "--out",
-        &again,
-        "--reference",
-    ];
-    // Control: the same cameras.
-    let (code, _, text) = wcal(&[&calibrate[..], &[&export("opencv.yml")]].concat());
-    assert_eq!(code, 0, "{text}");
-    let (code, _, text) = wcal(&[&calibrate[..], &[&at("shifted.yml")]].concat());
-    assert!(code == 3 && text.matches("pixel centres at +0.5").count() == 2, "{text}");
 }
 
 /// Moments that a wire of 68 GPa has at nine poses (SIMULATED by the rod), one of them wrong: the modulus comes back, the wrong one is named.

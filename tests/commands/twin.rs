@@ -27,7 +27,7 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
         let text: Vec<&str> = text.lines().filter(kept).collect();
         std::fs::write(folder.path().join(name), text.join("\n") + "\n").unwrap();
     }
-    let (out, page) = (folder.path().join("out.csv"), folder.path().join("page.html"));
+    let out = folder.path().join("out.csv");
     let run = |labels: bool| {
         if !labels {
             let path = folder.path().join("session.toml");
@@ -35,18 +35,8 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
             let without: Vec<&str> = text.lines().filter(|l| !l.starts_with("twin")).collect();
             std::fs::write(&path, without.join("\n")).unwrap();
         }
-        let args = [
-            "twin",
-            folder.path().to_str().unwrap(),
-            "--engine",
-            "mujoco",
-            "--preset",
-            "released",
-            "--no-tip",
-            "--report",
-            page.to_str().unwrap(),
-            "--out",
-        ];
+        let args =
+            ["twin", folder.path().to_str().unwrap(), "--engine", "mujoco", "--preset", "released", "--out"];
         let done = program().args(args).arg(&out).env("WCAL_MUJOCO", &engine).output().unwrap();
         (done.status.code(), String::from_utf8_lossy(&done.stderr).into_owned())
     };
@@ -63,11 +53,6 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
     let table = std::fs::read_to_string(&out).unwrap();
     let row = |point: &str| table.lines().find(|l| l.starts_with(point)).unwrap().to_owned();
     assert!(row("9,").contains(",held,true") && row("11,").contains(",several,"), "{table}");
-    // The page comes again from the document in its folder.
-    let first = std::fs::read(&page).unwrap();
-    std::fs::remove_file(&page).unwrap();
-    let again = program().arg("report").arg(page.with_extension("json")).status();
-    assert!(again.unwrap().success() && std::fs::read(&page).unwrap() == first);
     // The same without any label.
     let (code, said) = run(false);
     assert!(code == Some(3) && said.contains("1 of 2 poses have no certain moment: 11"), "{said}");

@@ -322,10 +322,10 @@ fn unnamed_keys(text: &str, reference: &str) -> Vec<String> {
 fn every_key_of_the_files_that_people_write_stands_in_the_reference() {
     let reference = fs::read_to_string(repository("docs/src/formats.md")).unwrap();
     let files = [
-        "calib/cli/templates/session.toml",
-        "calib/cli/templates/rig.toml",
-        "calib/cli/templates/plan.toml",
-        "calib/cli/templates/sweeps.toml",
+        "examples/templates/session.toml",
+        "examples/templates/rig.toml",
+        "examples/templates/plan.toml",
+        "examples/templates/sweeps.toml",
         "rigs/paper/rig.toml",
         "rigs/virtual/rig.toml",
         "rigs/virtual/scenario.toml",

@@ -2,6 +2,7 @@
 
 use crate::error::AcquisitionError;
 use crate::rig::Rig;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use wcal_core::Role;
@@ -138,7 +139,7 @@ fn default_average_s() -> f64 {
 }
 
 /// One thing to do.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(tag = "do", rename_all = "kebab-case")]
 pub enum Step {
     /// Wait until the signal has settled.
@@ -154,17 +155,17 @@ pub enum Step {
     Settled(Pose),
     /// Rows while moving from `from_mm` to the pose's depth.
     Moving {
-        /// Start, mm.
+        /// Start of a moving reading, mm.
         from_mm: f64,
-        /// Rows a second.
+        /// Rows a second while moving.
         rows_hz: f64,
-        /// End and speed.
+        /// End and speed of a moving reading: the keys of a settled one.
         pose: Pose,
     },
 }
 
 /// A pose with all that the rows need.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Pose {
     /// Role.
     pub role: Role,

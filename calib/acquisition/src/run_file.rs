@@ -1,6 +1,7 @@
 //! `run.json`: who recorded a session, with what, and when. Written before the first move; what came of each run is added when it ends.
 
 use crate::error::AcquisitionError;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use wcal_core::device::DeviceIdentity;
@@ -13,11 +14,12 @@ pub const RUN_FORMAT: &str = "wcal-run/1";
 const RANGES: &[Range] = &[Range::real("clock_scale", 1e-3, 1e4), Range::whole("", 0.0, 1.9e19)];
 
 /// Everything about a run that the raw streams do not contain.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunFile {
-    /// `wcal-run/1`.
+    /// Format and version.
+    #[schemars(extend("const" = RUN_FORMAT))]
     pub format: String,
-    /// Session identifier.
+    /// Identifier of the session.
     pub id: String,
     /// Medium.
     pub medium: String,
@@ -28,12 +30,14 @@ pub struct RunFile {
     /// Command line.
     pub command: Vec<String>,
     /// Hash of rig.toml.
+    #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub rig_sha256: String,
     /// Hash of plan.toml.
+    #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub plan_sha256: String,
     /// Devices by role.
     pub devices: BTreeMap<String, DeviceIdentity>,
-    /// Host seconds per wall second; other than 1: recorded on a virtual bench.
+    /// Host seconds per wall second; other than 1: an accelerated virtual bench.
     pub clock_scale: f64,
     /// Recorded from simulated devices; absent in files from before the mark.
     #[serde(default)]
@@ -44,11 +48,12 @@ pub struct RunFile {
 }
 
 /// What came of one run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunOutcome {
     /// File of its raw streams.
     pub recording: String,
     /// `finished` or `stopped`.
+    #[schemars(extend("enum" = ["finished", "stopped"]))]
     pub ending: String,
     /// Why it stopped.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -3,6 +3,7 @@
 use crate::apply::{Calibration, WhiskerCalibration};
 use crate::error::CalibrationError;
 use crate::trust_issue::TrustIssue;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use wcal_core::calibration::CALIBRATION_FORMAT;
@@ -19,7 +20,7 @@ use wcal_trace::whisker::PhysicalModel;
 
 /// The model in a calibration, distinguished by `kind`.
 #[allow(clippy::large_enum_variant, reason = "one a program run")]
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum CalibrationModel {
     /// A wavelength-to-moment map of `fit-gpr`.

@@ -1,7 +1,6 @@
 //! Damping and contact of the MuJoCo model, by trials in MuJoCo itself.
 
 use crate::output::OutputFolder;
-use crate::page_files::put_page;
 use crate::progress::Progress;
 use anyhow::{Context, ensure};
 use clap::Args;
@@ -14,7 +13,6 @@ use wcal_mujoco::dynamics::{
     DynamicsFit, Parameters, Score, Sensitivity, Targets, Trial, fit_dynamics, ring_down_s,
 };
 use wcal_mujoco::mjcf::MjcfOptions;
-use wcal_report::{DynamicsInput, DynamicsTrial, Fact, Page};
 
 /// Arguments of the fit of damping and contact.
 #[derive(Debug, Args)]
@@ -72,7 +70,7 @@ pub struct Dynamics {
     why: Vec<String>,
 }
 
-/// Fits, adds dynamics.csv and dynamics.html, and gives the model's options.
+/// Fits, adds dynamics.csv, and gives the model's options.
 pub fn dynamics(
     args: &DynamicsArgs,
     whisker: &WhiskerSpec,
@@ -111,7 +109,6 @@ pub fn dynamics(
     let best = &fit.trials[fit.best];
     let why = reasons(&fit, &targets);
     out.put("dynamics.csv", table(&fit.trials)?);
-    put_page(out, "dynamics", &page(&fit, &why))?;
     let dynamics = Dynamics {
         simulated: true,
         damping_s: fit.options.damping_s,
@@ -234,45 +231,4 @@ fn table(trials: &[Trial]) -> anyhow::Result<String> {
         )?;
     }
     Ok(text)
-}
-
-fn page(fit: &DynamicsFit, why: &[String]) -> Page {
-    let mut trials = Vec::new();
-    let mut best = 0;
-    for (k, Trial { stage, parameters: p, score: s }) in fit.trials.iter().enumerate() {
-        let (Some(ripple_nmm), Some(bias), Some(overlap_mm)) = (s.ripple_nmm, s.bias, s.overlap_mm) else {
-            continue;
-        };
-        // A broken trial has no place in a plot.
-        if ![ripple_nmm, bias, overlap_mm, s.bounce_ratio].iter().all(|v| v.is_finite()) {
-            continue;
-        }
-        if k == fit.best {
-            best = trials.len();
-        }
-        trials.push(DynamicsTrial {
-            stage: (*stage).to_owned(),
-            label: format!(
-                "damping {:.4} N m s/rad, width {:.2} mm, {:.2} to {:.2}",
-                p.damping_nms_rad, p.width_mm, p.d0, p.dmax
-            ),
-            bounce_ratio: s.bounce_ratio,
-            bias_percent: 100.0 * bias,
-            ripple_nmm,
-            overlap_mm,
-            total: s.total,
-        });
-    }
-    let options = &fit.options;
-    let facts = vec![
-        Fact::new("damping over stiffness", format!("{:.4} s", options.damping_s)),
-        Fact::new("contact width", format!("{:.2} mm", options.touch.width_mm)),
-        Fact::new(
-            "impedance",
-            format!("{:.3} to {:.3}", options.touch.impedance[0], options.touch.impedance[1]),
-        ),
-        Fact::new("trials", fit.trials.len().to_string()),
-    ];
-    let title = "Damping and contact of the MuJoCo model".to_owned();
-    Page::Dynamics(DynamicsInput { title, facts, choice: why.to_vec(), trials, best })
 }

@@ -1,6 +1,6 @@
 //! A sweep over an object becomes a session of kind "sweep": readings with the poses of the base, and the object where it is known.
 
-use super::{ImportArgs, Kind, RESULT, description, layout};
+use super::{ImportArgs, ImportDocument, Kind, RESULT, description, layout};
 use crate::output::OutputFolder;
 use crate::simulated::{is_simulated, word};
 use anyhow::{Context, bail, ensure};
@@ -168,8 +168,18 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
         ));
     }
     if args.json {
-        let document = serde_json::json!({ "format": "wcal-import/1", "session": id, "kind": KIND, "folder": args.out,
-            "simulated": simulated, "rows": sweep.rows, "holdout_rows": 0, "columns_left_out": sweep.left_out, "warnings": warnings, "inputs": [] });
+        let document = ImportDocument {
+            format: "wcal-import/1",
+            session: &id,
+            kind: KIND,
+            folder: &args.out,
+            simulated,
+            rows: sweep.rows,
+            holdout_rows: 0,
+            columns_left_out: &sweep.left_out,
+            warnings: &warnings,
+            inputs: &[],
+        };
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
         println!("{}: {} rows, sweep {id:?}{}", args.out.display(), sweep.rows, word(simulated));

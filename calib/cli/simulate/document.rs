@@ -2,6 +2,7 @@
 
 use super::SimulateArgs;
 use crate::picture_output::provenance;
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -22,27 +23,29 @@ pub struct Faults {
 }
 
 /// What MuJoCo's sweeps get wrong, as far as it can be measured without a whisker.
-#[derive(Debug, Default, Serialize)]
+#[derive(Debug, Default, Serialize, JsonSchema)]
 pub struct Twin {
-    /// The same sweeps by the rod, by speed.
+    /// MuJoCo's sweeps against the rod's (engine mujoco).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub against_rod: Option<RodComparison>,
-    /// The links alone, under the rod's own contact force.
+    /// The links alone under the rod's force (engine mujoco).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub statics: Option<Statics>,
-    /// Convex parts by object.
+    /// Convex parts by object (engine mujoco).
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub convex: BTreeMap<String, ConvexRow>,
 }
 
 /// An object's convex parts.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, JsonSchema)]
 pub struct ConvexRow {
+    /// Parts.
     pub parts: usize,
     /// Largest distance of the parts from the mesh, and of the mesh from the parts, mm.
     pub beyond_mm: f64,
+    /// Largest distance of the mesh from the parts, mm.
     pub short_mm: f64,
-    /// The larger of the two.
+    /// The larger of the two, mm.
     pub hausdorff_mm: f64,
 }
 
@@ -76,28 +79,46 @@ impl Twin {
     }
 }
 
-/// `dataset.json`.
-#[derive(Debug, Serialize)]
+/// Summary of a folder of SIMULATED sweeps.
+#[derive(Debug, Serialize, JsonSchema)]
 pub struct DatasetDocument {
+    /// Format and version.
+    #[schemars(extend("const" = wcal_sim::shard::FORMAT))]
     pub format: &'static str,
+    /// Always true.
     pub simulated: bool,
+    /// Engine and its settings, in words.
     pub engine: String,
+    /// Seed.
     pub seed: u64,
+    /// Sweeps over each object.
     pub sweeps_per_object: u64,
+    /// Share of the work, i/n.
     pub share: String,
+    /// How sweeps are drawn (the plan's keys).
     pub plan: SweepPlan,
+    /// The wire that the sweeps are of.
     pub whisker: String,
+    /// Sweeps.
     pub sweeps: u64,
+    /// Of them kept.
     pub kept: u64,
+    /// Samples.
     pub samples: u64,
+    /// Sweeps by verdict: kept, no-section, no-contact, starts-inside, torque-too-high, contact-jump, no-equilibrium, engine-died.
     pub verdicts: BTreeMap<String, u64>,
+    /// How often the wire touched, came free, sprang or slipped: onset, release, jump, slip.
     pub events: BTreeMap<String, u64>,
+    /// By object.
     pub objects: BTreeMap<String, ObjectRow>,
+    /// Objects left out, with the reason.
     pub left_out: Vec<String>,
+    /// Remarks on meshes and engine.
     pub notes: Vec<String>,
-    /// Shards that are not there, with the reason (`--check`).
+    /// Shards that are missing or damaged (with --check); absent where none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub missing: Vec<String>,
+    /// Sweeps a second and core.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sweeps_per_core_s: Option<f64>,
     /// What the paper's whole set would take at this rate, processor hours.
@@ -105,14 +126,19 @@ pub struct DatasetDocument {
     pub core_h_per_15600_sweeps: Option<f64>,
     #[serde(flatten)]
     pub twin: Twin,
+    /// What made the document.
     pub provenance: Provenance,
 }
 
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, JsonSchema)]
 pub struct ObjectRow {
+    /// Sweeps.
     pub sweeps: u64,
+    /// Of them kept.
     pub kept: u64,
+    /// Sweeps by verdict: kept, no-section, no-contact, starts-inside, torque-too-high, contact-jump, no-equilibrium, engine-died.
     pub verdicts: BTreeMap<String, u64>,
+    /// How often the wire touched, came free, sprang or slipped: onset, release, jump, slip.
     pub events: BTreeMap<String, u64>,
 }
 

@@ -5,7 +5,7 @@ use anyhow::{Context, bail};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use wcal_report::{
-    EnginesCompared, ExampleSample, ExampleSweep, Fact, Page, SpeedDifference, SweepsInput, SweptObject,
+    EnginesCompared, ExampleSample, ExampleSweep, Fact, SpeedDifference, SweepsInput, SweptObject,
 };
 use wcal_sim::columns::{Column, read};
 
@@ -20,7 +20,7 @@ type Table = BTreeMap<String, Column>;
 ///
 /// # Errors
 /// Where a shard cannot be read.
-pub fn page(document: &DatasetDocument, folder: &Path, shards: &[String]) -> anyhow::Result<Page> {
+pub fn page(document: &DatasetDocument, folder: &Path, shards: &[String]) -> anyhow::Result<SweepsInput> {
     let counts = |of: &BTreeMap<String, u64>| of.iter().map(|(k, n)| (k.clone(), *n)).collect::<Vec<_>>();
     let mut verdicts = counts(&document.verdicts);
     verdicts.sort_by_key(|(name, n)| (name != "kept", std::cmp::Reverse(*n)));
@@ -45,7 +45,7 @@ pub fn page(document: &DatasetDocument, folder: &Path, shards: &[String]) -> any
         facts.push(Fact::new("sweeps a second and core", format!("{rate:.1}")));
     }
     let faults = [&document.missing, &document.left_out, &document.notes];
-    Ok(Page::Sweeps(SweepsInput {
+    Ok(SweepsInput {
         title: format!("{} sweeps over {} objects", document.sweeps, document.objects.len()),
         facts,
         warnings: faults.into_iter().flatten().cloned().collect(),
@@ -54,7 +54,7 @@ pub fn page(document: &DatasetDocument, folder: &Path, shards: &[String]) -> any
         objects: objects.collect(),
         engines: engines(&document.twin),
         examples: examples(folder, shards)?,
-    }))
+    })
 }
 
 fn engines(twin: &Twin) -> Option<EnginesCompared> {

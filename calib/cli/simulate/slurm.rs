@@ -3,6 +3,7 @@
 use crate::picture_output::write;
 use anyhow::{Context, bail, ensure};
 use clap::Args;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -52,17 +53,21 @@ pub struct SlurmArgs {
     pub slurm_setup: Option<PathBuf>,
 }
 
-/// `slurm/submission.json`: what was handed in last.
-#[derive(Debug, Serialize, Deserialize)]
+/// What `wcal simulate --slurm` handed in last.
+#[derive(Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Submission {
+    /// Format and version.
+    #[schemars(extend("const" = FORMAT))]
     format: String,
     /// Job numbers; none where nothing was missing.
     array_job: Option<String>,
+    /// Number of the job that checks.
     check_job: Option<String>,
     /// Tasks of the array that were handed in, as sbatch takes them.
     tasks: String,
     /// Shards that were missing, and in all.
     missing: usize,
+    /// Shards in all.
     shards: usize,
 }
 

@@ -8,8 +8,7 @@ use wcal_core::WhiskerData;
 use wcal_mujoco::MujocoEngine;
 use wcal_mujoco::compare::statics;
 use wcal_mujoco::groove::{Preset, paper_options};
-use wcal_mujoco::labels::{PoseLabel, Tip, labels, tip};
-use wcal_report::TipEffect;
+use wcal_mujoco::labels::{PoseLabel, labels};
 use wcal_rod::{Line, Rod, WORKING_STEP_MM};
 
 /// A pose with what is known of it.
@@ -22,7 +21,6 @@ struct Pose<'a> {
     ideal_nmm: Option<Vector3<f64>>,
     /// Stable equilibria that the rod finds at this place.
     stable: usize,
-    tip: Option<Tip>,
     /// The session's own label, components.
     outside: Option<[f64; 2]>,
 }
@@ -31,11 +29,7 @@ struct Pose<'a> {
 ///
 /// # Errors
 /// Where the engine is missing or dies.
-pub fn by_mujoco(
-    data: &WhiskerData,
-    preset: Preset,
-    with_tip: bool,
-) -> anyhow::Result<(Vec<Text>, Findings)> {
+pub fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>> {
     let mut rows: Vec<Vec<usize>> = Vec::new();
     let mut places: Vec<Vec<Vector3<f64>>> = Vec::new();
     for trajectory in &data.trajectories {
@@ -45,15 +39,14 @@ pub fn by_mujoco(
         rows.push(at.into_iter().map(|a| a.0).collect());
     }
     let progress = Progress::new("twin");
-    // Every place twice for its moment, twice more for what the tip does to it.
-    let runs = places.iter().flatten().count() * if with_tip { 4 } else { 2 };
+    // Every place twice.
+    let runs = 2 * places.iter().flatten().count();
     let done = AtomicUsize::new(0);
     let each = || {
         let part = (done.fetch_add(1, Ordering::Relaxed) + 1) as f64 / runs as f64;
         progress.at("MuJoCo", part.min(0.99));
     };
     let labels = labels(&data.whisker, preset, &places, &each)?;
-    let tips = if with_tip { Some(tip(&data.whisker, preset, &places, &each)?) } else { None };
     drop(progress);
     let rod = Rod::new(&data.whisker, WORKING_STEP_MM)?;
     let mut poses: Vec<Pose<'_>> = Vec::new();
@@ -68,7 +61,6 @@ pub fn by_mujoco(
                 label: &labels[t][n],
                 ideal_nmm: outcome.equilibrium().map(|e| e.moment_nmm),
                 stable: rod.equilibria(&places[t][n]).iter().filter(|e| e.1 > 0.0).count(),
-                tip: tips.as_ref().map(|tips| tips[t][n]),
                 outside: data.twin.iter().find(|l| l.point == point).map(|l| l.moment_nmm),
             });
         }
@@ -79,20 +71,18 @@ pub fn by_mujoco(
         say(data, pose, full);
         lines[pose.row] = Some(line(data, pose));
     }
-    let mut findings = summary(data, &poses, full);
+    summary(data, &poses, full);
     if preset == Preset::Paper {
         let found = MujocoEngine::start()
             .and_then(|mut engine| statics(&mut engine, &data.whisker, &paper_options(&data.whisker)))?;
-        let line = format!(
-            "links and clamp alone ({} links, under the rod's own force): base moment off by {:.3} %, loaded point by {:.3} %",
+        eprintln!(
+            "twin: links and clamp alone ({} links, under the rod's own force): base moment off by {:.3} %, loaded point by {:.3} %",
             found.links,
             found.moment_error * 100.0,
             found.point_error * 100.0
         );
-        eprintln!("twin: {line}");
-        findings.lines.push(line);
     }
-    Ok((lines, findings))
+    Ok(lines)
 }
 
 fn line(data: &WhiskerData, pose: &Pose<'_>) -> (String, bool) {
@@ -175,22 +165,9 @@ fn spread(mut values: Vec<(f64, i64)>) -> Option<(f64, f64, i64)> {
     Some((middle.0, last.0, last.1))
 }
 
-/// What is said of all poses together.
-pub struct Findings {
-    /// In sentences, as printed; the tip's table is apart.
-    pub lines: Vec<String>,
-    /// The tip's effects.
-    pub tip: Vec<TipEffect>,
-    /// Poses that they are over.
-    pub poses: usize,
-}
-
-fn summary(data: &WhiskerData, poses: &[Pose<'_>], full: f64) -> Findings {
-    let mut lines: Vec<String> = Vec::new();
-    let mut say = |line: String| {
-        eprintln!("twin: {line}");
-        lines.push(line);
-    };
+/// Says what is known of all poses together.
+fn summary(data: &WhiskerData, poses: &[Pose<'_>], full: f64) {
+    let say = |line: String| eprintln!("twin: {line}");
     let points = |of: Vec<&Pose<'_>>| of.iter().map(|p| p.point.to_string()).collect::<Vec<_>>().join(", ");
     let (sure, unsure): (Vec<&Pose<'_>>, Vec<&Pose<'_>>) = poses.iter().partition(|p| p.label.certain());
     say(match unsure.len() {
@@ -226,111 +203,21 @@ fn summary(data: &WhiskerData, poses: &[Pose<'_>], full: f64) -> Findings {
         worst(&|l| l.overlap_mm)
     ));
     // Only on our branch: elsewhere a difference is no error of the twin's.
-    let all: Vec<TipPose> = sure
-        .iter()
-        .filter(|p| p.label.arclength_mm.is_some())
+    let held = sure.iter().filter(|p| p.label.arclength_mm.is_some());
+    let changes: Vec<(f64, f64, i64)> = held
         .filter_map(|p| {
-            Some(TipPose { point: p.point, ideal: p.ideal_nmm?, own: p.label.moment_nmm?, tip: p.tip })
+            let ideal = p.ideal_nmm?;
+            let (change, size) = (p.label.moment_nmm? - ideal, ideal.norm());
+            Some((100.0 * change.dot(&ideal) / (size * size), 100.0 * change.norm() / size, p.point))
         })
         .collect();
-    if let Some(row) = effect("all together", &all, |p| Some(p.own - p.ideal)) {
-        say(format!(
-            "all together, against the rod in an ideal groove, over {} poses: {:+.2} % of the moment along it, RMS {:.2} %, {:.2} % at most (point {})",
-            all.len(),
-            row.along_percent,
-            row.rms_percent,
-            row.largest_percent,
-            row.at_point
-        ));
-    }
-    let (tip, poses) = tip_effects(&all);
-    if !tip.is_empty() {
-        // The page has this as a table of its own.
-        eprintln!(
-            "twin: what the groove's tip does to the moment, over {poses} poses that are held in every way, % of the ideal groove's:"
-        );
-        eprintln!(
-            "twin:   {:<38} {:>12} {:>8} {:>8}  point",
-            "each added to those above", "along it", "RMS", "largest"
-        );
-        for row in &tip {
-            eprintln!(
-                "twin:   {:<38} {:>+12.2} {:>8.2} {:>8.2}  {}",
-                row.name, row.along_percent, row.rms_percent, row.largest_percent, row.at_point
-            );
-        }
-    }
-    Findings { lines, tip, poses }
-}
-
-/// A pose at which the moment is known in the ideal groove and at the real tip.
-struct TipPose {
-    point: i64,
-    ideal: Vector3<f64>,
-    own: Vector3<f64>,
-    tip: Option<Tip>,
-}
-
-/// Changes of the moment over poses, % of the ideal groove's; none without a pose.
-fn effect(
-    name: &str,
-    poses: &[TipPose],
-    change: impl Fn(&TipPose) -> Option<Vector3<f64>>,
-) -> Option<TipEffect> {
-    let changes: Vec<(f64, f64, i64)> = poses
-        .iter()
-        .filter_map(|p| {
-            let (change, size) = (change(p)?, p.ideal.norm());
-            Some((100.0 * change.dot(&p.ideal) / (size * size), 100.0 * change.norm() / size, p.point))
-        })
-        .collect();
-    let most = changes.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
     let count = changes.len() as f64;
-    Some(TipEffect {
-        name: name.to_owned(),
-        along_percent: changes.iter().map(|c| c.0).sum::<f64>() / count,
-        rms_percent: (changes.iter().map(|c| c.1 * c.1).sum::<f64>() / count).sqrt(),
-        largest_percent: most.1,
-        at_point: most.2,
-    })
-}
-
-/// Shape, softness and friction one after the other, and all of them, over the same poses; and how many these are.
-fn tip_effects(all: &[TipPose]) -> (Vec<TipEffect>, usize) {
-    let held =
-        |p: &&TipPose| p.tip.is_some_and(|t| t.hard_smooth_nmm.is_some() && t.soft_smooth_nmm.is_some());
-    let poses: Vec<TipPose> = all.iter().filter(held).map(|p| TipPose { ..*p }).collect();
-    let (hard, soft) = (|p: &TipPose| p.tip?.hard_smooth_nmm, |p: &TipPose| p.tip?.soft_smooth_nmm);
-    let rows = [
-        effect("shape (play; hard, smooth tip)", &poses, |p| Some(hard(p)? - p.ideal)),
-        effect("softness of the contact", &poses, |p| Some(soft(p)? - hard(p)?)),
-        effect("friction", &poses, |p| Some(p.own - soft(p)?)),
-        effect("all together", &poses, |p| Some(p.own - p.ideal)),
-    ];
-    (rows.into_iter().flatten().collect(), poses.len())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn effects_along_the_moment_add_up_and_poses_not_held_are_left_out() {
-        let pose = |point: i64, soft: Option<Vector3<f64>>| TipPose {
-            point,
-            ideal: Vector3::new(0.0, 2.0, 0.0),
-            own: Vector3::new(0.0, 2.4, 0.3),
-            tip: Some(Tip { hard_smooth_nmm: Some(Vector3::new(0.0, 2.1, 0.0)), soft_smooth_nmm: soft }),
-        };
-        let soft = Some(Vector3::new(0.1, 1.9, 0.0));
-        let (rows, poses) = tip_effects(&[pose(1, soft), pose(2, soft), pose(3, None)]);
-        assert_eq!(poses, 2, "the third is not held by the soft tip");
-        let along: Vec<f64> = rows.iter().map(|r| r.along_percent).collect();
-        for (found, known) in along.iter().zip([5.0, -10.0, 25.0, 20.0]) {
-            assert!((found - known).abs() < 1e-9, "{along:?}");
-        }
-        // The sizes do not add up: the changes point elsewhere.
-        assert!(rows[..3].iter().map(|r| r.rms_percent).sum::<f64>() > rows[3].rms_percent + 5.0, "{rows:?}");
-        assert!(tip_effects(&[pose(3, None)]).0.is_empty(), "negative control");
+    if let Some((_, largest, at)) = changes.iter().max_by(|a, b| a.1.total_cmp(&b.1)) {
+        say(format!(
+            "against the rod in an ideal groove, over {} poses: {:+.2} % of the moment along it, RMS {:.2} %, {largest:.2} % at most (point {at})",
+            changes.len(),
+            changes.iter().map(|c| c.0).sum::<f64>() / count,
+            (changes.iter().map(|c| c.1 * c.1).sum::<f64>() / count).sqrt(),
+        ));
     }
 }

@@ -11,6 +11,7 @@
 //! `(A + l 1) x' = A x - b`, `A = sum n n'`, `b = sum (d - r) n`, n = grad d, l >= 0 so that the bound holds.
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use schemars::JsonSchema;
 use serde::Serialize;
 use wcal_sim::{Mesh, SimError};
 
@@ -30,7 +31,7 @@ const FREE_STEPS: usize = 30;
 const BOUND_STEPS: usize = 60;
 
 /// Distances from a surface.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct Distances {
     /// RMS distance, mm.
     pub rmse_mm: f64,
@@ -58,7 +59,7 @@ impl Distances {
 }
 
 /// Distances of contact points to the mesh.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct MeshScore {
     /// Points.
     pub points: usize,
@@ -75,7 +76,7 @@ pub struct MeshScore {
 }
 
 /// A known place with three numbers free.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct FreePlace {
     /// The mesh moved by this, frame of the points, mm.
     pub moved_mm: [f64; 3],

@@ -3,13 +3,14 @@
 use crate::ContactError;
 use crate::sweep_suspects::{Suspect, sentence, suspects};
 use crate::sweep_witness::SweepWitness;
+use schemars::JsonSchema;
 use serde::Serialize;
 use wcal_calibration::WhiskerCalibration;
 use wcal_core::observation::WhiskerSpec;
 use wcal_core::verify_document::SurfaceDistance;
 
 /// What an object says of the readings that passed it.
-#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, JsonSchema)]
 pub struct ObjectJudgement {
     /// Whether the object refutes calibration and motion; absent where it cannot judge.
     pub refuted: Option<bool>,

@@ -8,6 +8,7 @@ use crate::sweep_record::Trial;
 use crate::sweep_witness::SweepWitness;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use wcal_calibration::WhiskerCalibration;
 use wcal_core::observation::WhiskerSpec;
@@ -21,7 +22,7 @@ const CLOCKS_S: [f64; 10] = [0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0];
 const PLACED_SD_MM: f64 = 10.0;
 
 /// What may be wrong with a sweep.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Suspect {
     /// `gain`, `clock`, `unit`, `axis` or `place`.
     pub id: &'static str,

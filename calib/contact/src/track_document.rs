@@ -1,10 +1,11 @@
-//! `track.json`: what a track is made of and what was found, as a program reads it. Every key is in docs/schemas/track.json.
+//! `track.json`: what a track is made of and what was found, as a program reads it.
 
 use crate::known_motion::contact_stream::FinishedEpisode;
 use crate::known_motion::{Disagreement, EpisodeEstimate, Innovations, Posterior, Region};
 use crate::mesh_score::MeshScore;
 use crate::object_judgement::ObjectJudgement;
 use crate::sliding::SlidingContact;
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -19,7 +20,7 @@ pub const AXIS_OF_WIRE: &str = "axis of the wire at the contact, base frame";
 pub const POINT_OF_OBJECT: &str = "point of the object, base frame";
 
 /// Where readings come from.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 #[serde(untagged)]
 pub enum TrackSource {
     /// A table or a session folder.
@@ -31,7 +32,7 @@ pub enum TrackSource {
 }
 
 /// How the contacts were found where no model did.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
     /// Along a known motion.
@@ -41,10 +42,11 @@ pub enum Method {
     StaticArc,
 }
 
-/// `track.json`.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// Summary of track.csv: a table and a session by known motion have their counts at the top, a stream has them for each whisker.
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct TrackDocument {
-    /// [`TRACK_FORMAT`].
+    /// Format and version.
+    #[schemars(extend("const" = TRACK_FORMAT))]
     pub format: &'static str,
     /// Where the readings come from.
     pub source: TrackSource,
@@ -64,7 +66,7 @@ pub struct TrackDocument {
 }
 
 /// Of a table or a session.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct TableDocument {
     /// Lag of the rows, s.
     pub lag_s: f64,
@@ -92,7 +94,7 @@ pub struct TableDocument {
 }
 
 /// Rows of one whisker.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct WhiskerDocument {
     /// Rows.
     pub rows: u64,
@@ -103,6 +105,7 @@ pub struct WhiskerDocument {
     /// What speaks against trusting it.
     pub doubts: Vec<String>,
     /// Hash of the calibration's content.
+    #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub calibration_sha256: String,
     /// Contact intervals, where contacts were followed by their places.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -118,7 +121,7 @@ pub struct WhiskerDocument {
 }
 
 /// What an estimator found; what it does not know is absent.
-#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, JsonSchema)]
 pub struct EstimatorDocument {
     /// How.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -128,6 +131,7 @@ pub struct EstimatorDocument {
     pub place: Option<&'static str>,
     /// Hash of the weights.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub model_sha256: Option<String>,
     /// Always true.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -153,7 +157,7 @@ pub struct EstimatorDocument {
 }
 
 /// A contact of a known motion, or a trajectory of a session.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct ContactDocument {
     /// Identifier of a session's trajectory.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -181,6 +185,7 @@ pub struct ContactDocument {
     pub to_s: Option<f64>,
     /// A fixed point of the object, or one that slides over it.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("enum" = ["fixed", "sliding"]))]
     pub contact: Option<&'static str>,
     /// How well the motion predicts a sliding contact.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -250,7 +255,7 @@ impl ContactDocument {
 }
 
 /// How well a motion predicts a sliding contact.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct SlidingDocument {
     /// Log likelihood of the predicted readings.
     pub log_evidence: f64,
@@ -261,7 +266,7 @@ pub struct SlidingDocument {
 }
 
 /// Rows in a motion that no training sweep has.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct UntrainedRows {
     /// Rows.
     pub rows: u64,
@@ -272,7 +277,7 @@ pub struct UntrainedRows {
 }
 
 /// Rows with several contacts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct SeveralContacts {
     /// Rows with a probability of several contacts.
     pub rows: u64,
@@ -281,7 +286,7 @@ pub struct SeveralContacts {
 }
 
 /// Answers compared with a known groove.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct GrooveScore {
     /// Readings with a known groove.
     pub readings: usize,
@@ -302,7 +307,7 @@ pub struct GrooveScore {
 }
 
 /// The log of a table's motion.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct LogDocument {
     /// File.
     pub file: PathBuf,
@@ -317,7 +322,7 @@ pub struct LogDocument {
 }
 
 /// Of a stream.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct StreamDocument {
     /// Recording that was written.
     pub mcap: Option<PathBuf>,
@@ -334,9 +339,9 @@ pub struct StreamDocument {
     pub dropped_scans: u64,
     /// Scans, gaps and scans lost.
     pub scans: u64,
-    /// See `scans`.
+    /// Gaps (stream).
     pub gaps: u64,
-    /// See `scans`.
+    /// Scans lost (stream).
     pub lost_scans: u64,
     /// Scans a second.
     pub scan_rate_hz: f64,
@@ -360,24 +365,24 @@ pub struct StreamDocument {
 }
 
 /// A low-pass.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct FilterDocument {
     /// What it is.
     pub kind: &'static str,
     /// Gains at 1, 5, 10 and 34 Hz.
     pub gain_1_hz: f64,
-    /// See `gain_1_hz`.
+    /// Gain at 5 Hz.
     pub gain_5_hz: f64,
-    /// See `gain_1_hz`.
+    /// Gain at 10 Hz.
     pub gain_10_hz: f64,
-    /// See `gain_1_hz`.
+    /// Gain at 34 Hz.
     pub gain_34_hz: f64,
     /// Gain of white noise.
     pub noise_gain: f64,
 }
 
 /// Time that a stream took.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct TimeDocument {
     /// Of the stream, s.
     pub stream_s: f64,
@@ -392,7 +397,7 @@ pub struct TimeDocument {
 }
 
 /// A whisker of a stream.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct StreamedWhisker {
     /// Name; empty where there is one.
     pub whisker: String,
@@ -410,7 +415,7 @@ pub struct StreamedWhisker {
 }
 
 /// Noise of a stream's beginning, and the limits of its events.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct NoiseDocument {
     /// Of means over 2 ms, N mm.
     pub block_sd_nmm: [f64; 2],
@@ -425,7 +430,7 @@ pub struct NoiseDocument {
 }
 
 /// Where the motion of a stream comes from.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct StreamMotionDocument {
     /// What says how base and object move.
     pub source: &'static str,
@@ -436,7 +441,7 @@ pub struct StreamMotionDocument {
 }
 
 /// What `--surface` wrote.
-#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, JsonSchema)]
 pub struct SurfaceDocument {
     /// Frame of the cloud; none without points.
     pub frame: Option<&'static str>,
@@ -450,7 +455,7 @@ pub struct SurfaceDocument {
 }
 
 /// Mesh of a surface.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct SurfaceMeshDocument {
     /// Corners.
     pub corners: usize,

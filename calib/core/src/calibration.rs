@@ -4,13 +4,14 @@ use crate::observation::{MomentAxes, RestShape, WhiskerSpec};
 use crate::provenance::Provenance;
 use crate::verify_document::CalibrationContact;
 use nalgebra::Vector3;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Format tag of `calibration.json`.
 pub const CALIBRATION_FORMAT: &str = "wcal-calibration/1";
 
 /// Whether the calibration was verified on data that it was not fitted to.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum VerificationStatus {
     /// Never verified.
@@ -22,16 +23,18 @@ pub enum VerificationStatus {
 }
 
 /// The frame of a calibration's session: how the wire lies in it, and along what its moments are components.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CalibrationFrame {
     /// Stress-free centre line, root first, base frame.
     pub rest_shape: RestShape,
     /// Unit vectors of the moment components, base frame.
+    #[schemars(with = "[[f64; 3]; 2]")]
     pub moment_axes: [Vector3<f64>; 2],
     /// +1: moment = r x F acting on the base; -1: its reaction.
     pub moment_sign: f64,
     /// Way of the base past an object at rest that a network takes for the one of its training: against the wire's bend. Base frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<[f64; 3]>")]
     pub sweep_direction: Option<Vector3<f64>>,
 }
 
@@ -44,7 +47,7 @@ impl CalibrationFrame {
 }
 
 /// What the errors of a calibration's moments are made of: standard deviations of the two moments, N mm; none where they are not known.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct CalibrationNoise {
     /// Noise of a reading, of its own.
     pub reading_sd_nmm: Option<[f64; 2]>,
@@ -54,35 +57,39 @@ pub struct CalibrationNoise {
     pub misfit_sd_nmm: Option<[f64; 2]>,
 }
 
-/// `calibration.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// What `predict` and `track` apply; `judged-calibration.json` is one that `verify --calibration` found not to hold.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CalibrationFile<M> {
-    /// Always [`CALIBRATION_FORMAT`].
+    /// Format and version.
+    #[schemars(extend("const" = CALIBRATION_FORMAT))]
     pub format: String,
-    /// Session identifier.
+    /// Identifier of the session.
     pub session: String,
-    /// Result of verification.
+    /// Whether it was verified on data that it was not fitted to.
     pub verification: VerificationStatus,
     /// Last moment of validity, RFC 3339; none: no expiry.
     pub expires: Option<String>,
-    /// The fitted model.
+    /// The model, distinguished by `kind`.
     pub model: M,
     /// What made it.
     pub provenance: Provenance,
     /// The wire that it was made with; absent in older files and where there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub whisker: Option<WhiskerSpec>,
-    /// Map U to contact U, where `verify` tracked the groove; absent in older files.
+    /// Map U to contact U: what the uncertainty of this calibration and of its readings makes of a contact whose motion is known; absent
+    /// where verify did not track the groove.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact_uncertainty: Option<CalibrationContact>,
-    /// The frame of its session; absent in older files, whose moments are about y and z.
+    /// Frame of the session: what turns the calibration's moments and a sweep's motion into the frame of the wire; absent: moments about y and
+    /// z.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<CalibrationFrame>,
-    /// What the errors of its moments are made of; absent in older files.
+    /// What the errors of the moments are made of: standard deviations, N mm; null: not known. Absent where there is no whisker.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise: Option<CalibrationNoise>,
     /// SHA-256 over the compact JSON of `session`, `verification`, `expires`, `model`, `provenance` and, where they are there, `whisker` and
     /// `contact_uncertainty` (then with `null` for a whisker that is not) and `frame` or `noise` (then with `null` for what is not); tampering changes it.
+    #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub content_sha256: String,
 }
 

@@ -2,6 +2,7 @@
 //!
 //! A reading carries what was commanded (where a device can be commanded), what was measured, and two clocks.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 use thiserror::Error;
@@ -132,7 +133,7 @@ pub struct Clocks {
 }
 
 /// What a unit says of itself.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct DeviceIdentity {
     /// Driver that spoke to it, e.g. `zaber-ascii`.
     pub driver: String,

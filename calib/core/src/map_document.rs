@@ -1,5 +1,6 @@
 //! `fit-gpr.json` (format `wcal-map/1`).
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -7,11 +8,11 @@ use std::collections::BTreeMap;
 pub const MAP_FORMAT: &str = "wcal-map/1";
 
 /// One candidate map with its cross-validated errors, one entry a moment.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MapCandidate {
-    /// `thin-plate`, `affine`, `quadratic`, `matern52`, `released`.
+    /// `affine`, `quadratic`, `thin-plate`, `matern52`, `released`, ...
     pub name: String,
-    /// Leave-one-out error, N mm.
+    /// Leave-one-out error of each moment, N mm.
     pub loo_rmse_nmm: [f64; 2],
     /// Leave-one-trajectory-out error, N mm; absent with fewer than three trajectories.
     pub loto_rmse_nmm: Option<[f64; 2]>,
@@ -24,7 +25,7 @@ pub struct MapCandidate {
 }
 
 /// How well the readings determine the moments.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Identifiability {
     /// Condition number of the wavelength-from-moment matrix.
     pub condition: f64,
@@ -33,7 +34,7 @@ pub struct Identifiability {
 }
 
 /// Readings at rest, tested by the map of the loaded poses alone.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RestZero {
     /// Readings at rest.
     pub readings: usize,
@@ -43,16 +44,17 @@ pub struct RestZero {
     pub sd_nmm: [f64; 2],
     /// Probability of an offset as large where all readings share one zero.
     pub p_value: f64,
-    /// The readings belong to another zero and were left out of the map.
+    /// They belong to another zero and were left out: the map's zero is not that of the free wire.
     pub left_out: bool,
 }
 
-/// `fit-gpr.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// The choice of the wavelength-to-moment map.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MapDocument {
-    /// Always [`MAP_FORMAT`].
+    /// Format and version.
+    #[schemars(extend("const" = MAP_FORMAT))]
     pub format: String,
-    /// The session is simulated, not measured.
+    /// The session is simulated; absent: measured.
     #[serde(default, skip_serializing_if = "crate::provenance::is_measured")]
     pub simulated: bool,
     /// Calibration poses used (rest rows not counted).
@@ -63,13 +65,13 @@ pub struct MapDocument {
     pub chosen: String,
     /// Every candidate.
     pub candidates: Vec<MapCandidate>,
-    /// Readings at rest; absent where there are none, or too few loaded ones to test them.
+    /// Readings at rest, tested by the map of the loaded poses alone; absent where there are none, or too few loaded ones.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rest: Option<RestZero>,
-    /// Conditioning and warnings.
+    /// How well the readings determine the moments.
     pub identifiability: Identifiability,
-    /// `kind` = "hull" or "distance" and its numbers.
+    /// Where the map may be used: `kind` (`hull`), `vertices_pm` (counter-clockwise, pm), `margin_pm`.
     pub valid_region: serde_json::Value,
-    /// Hyperparameters of the chosen map.
+    /// Hyperparameters of the chosen map, by name.
     pub hyperparameters: BTreeMap<String, serde_json::Value>,
 }

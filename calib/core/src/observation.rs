@@ -4,11 +4,12 @@ use crate::ranges::{self, OutOfRange, Range};
 use crate::sealed::{Labelled, RowLabel, Sealed};
 use crate::shapes_document::{PairDocument, SharedParameter};
 use nalgebra::Vector3;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// The three kinds of session (docs/src/formats.md).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum SessionKind {
     /// Whisker pressed by a V-groove; wavelengths against base moments.
@@ -20,7 +21,7 @@ pub enum SessionKind {
 }
 
 /// What a reading may be used for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
     /// No load.
@@ -34,7 +35,7 @@ pub enum Role {
 }
 
 /// Nominal properties of the wire.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct WhiskerSpec {
     /// Wire diameter, mm.
     pub diameter_mm: f64,
@@ -44,9 +45,10 @@ pub struct WhiskerSpec {
     pub shear_gpa: f64,
     /// Density, kg/m^3.
     pub density_kg_m3: Option<f64>,
-    /// Stress-free shape.
+    /// Stress-free shape: one of the two.
     pub rest_shape: RestShape,
     /// Unit vector of gravity in the base frame, where known.
+    #[schemars(with = "Option<[f64; 3]>")]
     pub gravity_direction: Option<Vector3<f64>>,
 }
 
@@ -116,20 +118,20 @@ impl WhiskerSpec {
 }
 
 /// Stress-free centre line, root first, base frame.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RestShape {
     /// Straight along +x, then an arc that bends toward -z.
     StraightArc {
         /// Length of the straight part, mm.
         straight_mm: f64,
-        /// Arc radius, mm.
+        /// Radius of the arc, mm.
         arc_radius_mm: f64,
         /// Total length, mm.
         length_mm: f64,
     },
     /// Polyline of points, mm.
-    Polyline(Vec<Vector3<f64>>),
+    Polyline(#[schemars(with = "Vec<[f64; 3]>")] Vec<Vector3<f64>>),
 }
 
 /// Wires whose shapes are nowhere farther apart are one, mm.
@@ -204,7 +206,7 @@ impl MomentAxes {
 }
 
 /// Gratings: nominal wavelengths and temperature coefficients.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct FbgSpec {
     /// Nominal wavelengths of the two sensing gratings, nm; absent when the table holds shifts.
     pub nominal_nm: Option<[f64; 2]>,
@@ -404,7 +406,7 @@ pub struct SessionShapes {
 }
 
 /// A pair of pictures that is not used.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct PairLeftOut {
     /// Name of the pair.
     pub name: String,

@@ -1,22 +1,24 @@
 //! Where a result came from: files by hash, program, command, seed.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 /// A file that was read, by content hash.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct InputFile {
     /// Path as given, relative to the session where it belongs to one.
     pub path: String,
     /// SHA-256 of the content, lower-case hex.
+    #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub sha256: String,
-    /// What it is read for.
+    /// What it is read for; absent: `description`.
     #[serde(default, skip_serializing_if = "Purpose::is_description")]
     pub purpose: Purpose,
 }
 
 /// What a file is read for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Purpose {
     /// Describing the session.
@@ -37,13 +39,13 @@ impl Purpose {
 }
 
 /// Program and command that made an artefact.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Provenance {
     /// Program and version, e.g. `wcal 0.1.0`.
     pub program: String,
     /// Command line.
     pub command: Vec<String>,
-    /// Creation time, RFC 3339, UTC.
+    /// Time of creation, RFC 3339, UTC.
     pub created: String,
     /// Seed of every random draw.
     pub seed: u64,

@@ -12,13 +12,14 @@
 //! wire's end. A parameter of zero variance is taken as known by `stereo-shape`; its derivative says what an error of it would do
 //! (`board-scale`, a rig tag glued askew). Source: JCGM 102:2011, 6.2 (propagation of a covariance matrix).
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Format tag of `shapes.json`.
 pub const SHAPES_FORMAT: &str = "wcal-shapes/1";
 
 /// A tag in one picture.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TagDocument {
     /// Number.
     pub id: u32,
@@ -32,7 +33,7 @@ pub struct TagDocument {
 }
 
 /// A stretch that a picture does not show.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Gap {
     /// Start, arc length, mm.
     pub from_mm: f64,
@@ -44,7 +45,7 @@ pub struct Gap {
 }
 
 /// The groove's contact.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GrooveDocument {
     /// The wire's centre in the vertex, base frame, mm.
     pub position_mm: [f64; 3],
@@ -59,6 +60,7 @@ pub struct GrooveDocument {
     pub axis: [f64; 3],
     /// `vertex` (on both flanks), `double` (arched over the vertex, on the two rims), `out-of-vertex` (on one flank), `none`.
     #[serde(default)]
+    #[schemars(extend("enum" = ["vertex", "double", "out-of-vertex", "none"]))]
     pub contact: String,
     /// Arc lengths of the contacts, mm: none, one, or the two rims.
     #[serde(default)]
@@ -78,7 +80,7 @@ pub struct GrooveDocument {
 }
 
 /// A parameter whose error all pairs share; its place in [`ShapesDocument::shared_parameters`] is its place in every list.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct SharedParameter {
     /// Name, e.g. `left fx`, `right_from_left tz`, `board-scale`, `base-tag rx`, `rig-tag y`, `line`, `end`.
     pub name: String,
@@ -89,7 +91,7 @@ pub struct SharedParameter {
 }
 
 /// What one error does to a pair's observations: a standard deviation of it (own errors) or a unit of it (shared parameters).
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct ErrorColumn {
     /// Displacement of the centre line at each of [`PairErrors::stations`], base frame, mm (a unit).
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -106,7 +108,7 @@ pub struct ErrorColumn {
 }
 
 /// Errors of a pair's observations; the module says what they add up to.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct PairErrors {
     /// Places of the centre line that count as observations: indices into [`PairDocument::centreline_mm`], rising.
     pub stations: Vec<usize>,
@@ -121,12 +123,12 @@ pub struct PairErrors {
 }
 
 /// What the shapes were made from: verified before they are used with other data.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct ShapesSource {
-    /// SHA-256 of the calibration file (stereo.json; of all files, in order, where it has several).
+    /// SHA-256 of the file of the cameras; of all files in order where there are several; empty where it was not stated.
     #[serde(default)]
     pub cameras_sha256: String,
-    /// SHA-256 of the rig's whisker, tags and groove as canonical JSON (`wcal_core::shapes_document::rig_sha256`).
+    /// SHA-256 of the rig's tables `whisker`, `tags` and `groove` as canonical JSON; empty where it was not stated.
     #[serde(default)]
     pub rig_sha256: String,
     /// `id` of the session whose pictures they are; none outside a session.
@@ -146,7 +148,7 @@ pub fn rig_sha256(rig: &serde_json::Value) -> String {
 }
 
 /// What one standard deviation of an error does to a wire.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct SharedError {
     /// "cameras", "line" or "end".
     pub cause: String,
@@ -158,19 +160,20 @@ pub struct SharedError {
 }
 
 /// One pair.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct PairDocument {
     /// Name.
     pub name: String,
     /// `ok` or `rejected`.
+    #[schemars(extend("enum" = ["ok", "rejected"]))]
     pub status: String,
     /// Reason of a rejection.
     #[serde(default)]
     pub why: String,
-    /// Row of points.csv of the session; none outside a session.
+    /// Point of the session whose pose it shows; null where the pictures belong to none.
     #[serde(default)]
     pub point: Option<i64>,
-    /// Takes base coordinates to left camera coordinates, mm.
+    /// 4 x 4, mm: takes base coordinates to the left camera's; empty where the base is not seen.
     #[serde(default)]
     pub left_from_base: Vec<[f64; 4]>,
     /// Tags seen.
@@ -198,7 +201,7 @@ pub struct PairDocument {
     /// Stretches not seen.
     #[serde(default)]
     pub gaps: Vec<Gap>,
-    /// Groove; none where the rig tag is not seen.
+    /// The groove's contact; null where the rig tag is not seen.
     #[serde(default)]
     pub groove: Option<GrooveDocument>,
     /// RMS distance of the measured pieces from the reprojected curve, left and right, px.
@@ -209,14 +212,15 @@ pub struct PairDocument {
     pub warnings: Vec<String>,
 }
 
-/// `shapes.json`.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+/// The wire's shape in pairs of pictures, base frame.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct ShapesDocument {
-    /// Always [`SHAPES_FORMAT`].
+    /// Format and version.
+    #[schemars(extend("const" = SHAPES_FORMAT))]
     pub format: String,
     /// Pairs in order of their names.
     pub pairs: Vec<PairDocument>,
-    /// Parameters whose errors all pairs share.
+    /// Parameters whose errors all pairs share; their order is that of every list.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shared_parameters: Vec<SharedParameter>,
     /// Their covariance, in the order and units of the list, row by row.

@@ -6,6 +6,7 @@ mod noise;
 mod sweep;
 
 use crate::provenance::InputFile;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use errors::{
@@ -23,7 +24,7 @@ pub use sweep::{SurfaceDistance, SweepExplanation, SweepJudgement};
 pub const VERIFY_FORMAT: &str = "wcal-verify/1";
 
 /// What the residual loop concluded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
     /// Nothing beyond noise is left.
@@ -40,33 +41,35 @@ pub enum Verdict {
     Refused,
 }
 
-/// `verify.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// What the residual loop found in a session.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct VerifyDocument {
-    /// Always [`VERIFY_FORMAT`].
+    /// Format and version.
+    #[schemars(extend("const" = VERIFY_FORMAT))]
     pub format: String,
-    /// Session identifier.
+    /// Identifier of the session.
     pub session: String,
     /// The session, or one that it was joined with, is simulated; absent in files from before the mark.
     #[serde(default)]
     pub simulated: bool,
     /// `whisker`, `transducer` or `axis`.
+    #[schemars(extend("enum" = ["whisker", "transducer", "axis"]))]
     pub kind: String,
-    /// Conclusion.
+    /// The one answer.
     pub verdict: Verdict,
     /// One plain sentence.
     pub reason: String,
-    /// Stage 0.
+    /// The check of an outside twin's labels.
     pub twin: TwinCheck,
-    /// The best explanation's effects.
+    /// The effects of the best explanation.
     pub effects: Vec<NamedEffect>,
     /// Every surviving explanation, best first, the best included.
     pub alternatives: Vec<Vec<String>>,
-    /// Present with the verdict "unknown-effect".
+    /// What is left where nothing of the catalogue explains it.
     pub unknown: Option<UnknownEffect>,
-    /// Noise floor.
+    /// What a new reading at a new pose can reach.
     pub noise_floor: NoiseFloor,
-    /// The noise in parts.
+    /// The noise in parts, null where the design cannot tell.
     #[serde(default)]
     pub noise: Option<NoiseDocument>,
     /// Readings that no tails of the noise explain, left out of the fit.
@@ -76,14 +79,16 @@ pub struct VerifyDocument {
     pub before: Option<HeldOutError>,
     /// Held-out error of the accepted model.
     pub after: Option<HeldOutError>,
-    /// The same without sealed readings far outside the noise; absent where there is none. Where it stands, the exit code is 3.
+    /// Held-out error of the accepted model without sealed readings far outside the noise; absent where there is none. Where it stands, the
+    /// exit code is 3.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub after_trimmed: Option<HeldOutError>,
-    /// Held-out coverage of the stated 95 % intervals.
+    /// Share of the stated 95 % intervals that hold the held-out value.
+    #[schemars(range(min = 0, max = 1))]
     pub coverage95: Option<f64>,
-    /// What to measure next.
+    /// The measurement that would decide.
     pub next_measurement: Option<NextMeasurement>,
-    /// Smallest detectable sizes.
+    /// Detectability of each effect: the smallest size found with 90 % power.
     pub detectable: Vec<Detectable>,
     /// Seed.
     pub seed: u64,
@@ -92,24 +97,26 @@ pub struct VerifyDocument {
     /// Remarks: what was absent, what was marked and kept.
     #[serde(default)]
     pub notes: Vec<String>,
-    /// What each accepted effect is worth.
+    /// What each accepted effect is worth; absent without one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub leave_one_effect_out: Vec<EffectAblation>,
-    /// Which fitted values the data determine only together, in sentences.
+    /// Fitted values that the data determine only together, in sentences; absent where there are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub identifiability: Vec<String>,
-    /// How a given calibration does on readings that were not in its fit.
+    /// How a given calibration does on readings that were not in its fit; absent without `--calibration`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationJudgement>,
-    /// Where the tracker puts the groove through the accepted calibration (kind whisker).
+    /// Where the tracker by known motion puts the groove through the accepted calibration (whisker); absent where it was not tracked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub groove_tracking: Option<GrooveTracking>,
-    /// What a sweep over a known object says of the explanations (`--sweep`, kind whisker).
+    /// What a sweep over a known object says of the explanations (`--sweep`, whisker): how near the contacts that the moments allow come to
+    /// the object.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sweep: Option<SweepJudgement>,
     /// Which witness decided for the accepted effects, by the gain that each gives: `wavelengths`, `pictures` or `both`; absent without
     /// pictures or effects.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("enum" = ["wavelengths", "pictures", "both"]))]
     pub witness: Option<String>,
     /// The pictures as a second source of data; absent without them.
     #[serde(default, skip_serializing_if = "Option::is_none")]

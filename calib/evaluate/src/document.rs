@@ -1,6 +1,7 @@
 //! `evaluation.json`: errors with their intervals, mean over objects and object by object. Numbers that do not exist (a mean over nothing) are
 //! NaN here and null there.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use wcal_core::provenance::Provenance;
@@ -18,15 +19,17 @@ pub const FORMAT: &str = "wcal-evaluation/1";
 pub type Interval = Option<[f64; 2]>;
 
 /// The document.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct EvaluationDocument {
-    /// [`FORMAT`].
+    /// Format and version.
+    #[schemars(extend("const" = FORMAT))]
     pub format: &'static str,
     /// Always true.
     pub simulated: bool,
     /// Few objects and sweeps.
     pub quick: bool,
     /// SHA-256 of the weights.
+    #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub model: String,
     /// Always null: the virtual bench makes its own.
     pub calibration: Option<String>,
@@ -61,7 +64,7 @@ pub struct EvaluationDocument {
 }
 
 /// Errors on sweeps as the network was trained on.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Simulation {
     /// Method of these numbers.
     pub method: &'static str,
@@ -71,7 +74,7 @@ pub struct Simulation {
 }
 
 /// Means over seen and unseen objects, mm, and the objects' rows.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Means {
     /// Seen objects.
     pub seen_mean_mm: f64,
@@ -98,7 +101,7 @@ impl Means {
 }
 
 /// How intervals were made.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Bootstrap {
     /// Level.
     pub level: f64,
@@ -115,7 +118,7 @@ impl Default for Bootstrap {
 }
 
 /// A method on a set of objects.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct MethodRow {
     /// Set.
     pub set: &'static str,
@@ -156,7 +159,7 @@ impl MethodRow {
 }
 
 /// An object.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct ObjectRow {
     /// Name.
     pub name: String,
@@ -208,7 +211,7 @@ impl ObjectRow {
 }
 
 /// Time of one sample on one core.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Streaming {
     /// Samples a second.
     pub samples_per_s: f64,
@@ -217,7 +220,7 @@ pub struct Streaming {
 }
 
 /// Coverage by class.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Classes {
     /// Seen objects.
     pub seen: Vec<ClassCoverage>,
@@ -226,7 +229,7 @@ pub struct Classes {
 }
 
 /// What a split of sweeps at random hides.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Leak {
     /// Split.
     pub split: &'static str,
@@ -256,7 +259,7 @@ impl Leak {
 }
 
 /// Tables on sweeps that are drawn on the spot.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Tables {
     /// What each part buys, on the virtual bench.
     pub ablations: Vec<AblationRow>,
@@ -278,7 +281,7 @@ pub struct Tables {
 }
 
 /// One part left out or changed.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct AblationRow {
     /// Part.
     pub name: String,
@@ -310,7 +313,7 @@ impl AblationRow {
 }
 
 /// Upright objects.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct Faces {
     /// With the base's speed known.
     #[serde(flatten)]
@@ -322,7 +325,7 @@ pub struct Faces {
 }
 
 /// The tracker on the groove of a session, whose motion is known, by `verify`'s own calibration, beside the bound on its error.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct KnownMotion {
     /// Always true: SIMULATED.
     #[serde(rename = "virtual")]
@@ -344,7 +347,7 @@ pub struct KnownMotion {
 }
 
 /// One kind of a stream's noise.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct NoiseRow {
     /// Kind.
     pub noise: &'static str,
@@ -359,7 +362,7 @@ pub struct NoiseRow {
 }
 
 /// An object in simulation, air and water, mm.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct MediumRow {
     /// Object.
     pub name: String,
@@ -376,7 +379,7 @@ pub struct MediumRow {
 }
 
 /// A speed of the base, errors in mm.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct SpeedRow {
     /// Speed.
     pub mm_s: f64,
@@ -389,7 +392,7 @@ pub struct SpeedRow {
 }
 
 /// The tracker on the virtual bench, through its own calibration.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct VirtualReal {
     /// Coverage of 90 % regions.
     pub coverage90: BySet,
@@ -417,7 +420,7 @@ pub struct VirtualReal {
 }
 
 /// A number for each set.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct BySet {
     /// Seen objects.
     pub seen: f64,
@@ -426,7 +429,7 @@ pub struct BySet {
 }
 
 /// Objects set aside for tests.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct TestObjects {
     /// Since when.
     pub set_aside: &'static str,
@@ -437,7 +440,7 @@ pub struct TestObjects {
 }
 
 /// A method on a draw of the objects set aside.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct TestRow {
     /// How the objects are turned.
     pub turns: &'static str,

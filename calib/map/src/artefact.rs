@@ -7,6 +7,7 @@ use crate::kernel::Kernel;
 use crate::process::Process;
 use crate::region::ValidRegion;
 use crate::trend::Trend;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wcal_core::FbgSpec;
 use wcal_core::map_document::RestZero;
@@ -17,13 +18,14 @@ pub const ARTEFACT_VERSION: u32 = 1;
 const MAX_READINGS: usize = 10_000;
 
 /// A wavelength-to-moment map that can be evaluated without a refit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MapArtefact {
     /// Always [`ARTEFACT_VERSION`].
+    #[schemars(extend("const" = ARTEFACT_VERSION))]
     pub version: u32,
     /// Name of the candidate.
     pub name: String,
-    /// Where the labels came from.
+    /// Where the moments came from.
     pub labels: String,
     /// Shift at scaled input 0, pm.
     pub centre_pm: [f64; 2],
@@ -31,7 +33,7 @@ pub struct MapArtefact {
     pub scale_pm: f64,
     /// Readings that it was fitted to, pm.
     pub training_pm: Vec<[f64; 2]>,
-    /// Each moment's process.
+    /// One map a moment: offset + trend(z) beta + k(z) alpha.
     pub outputs: [OutputMap; 2],
     /// Where it may be used.
     pub valid_region: ValidRegion,
@@ -42,15 +44,15 @@ pub struct MapArtefact {
     /// Noise of a reading of its own in the two moments, N mm; absent where the session has neither samples nor their deviation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reading_sd_nmm: Option<[f64; 2]>,
-    /// Readings at rest, where they were tested: left out, the map's zero is not that of the free wire.
+    /// Readings at rest, tested by the map of the loaded poses alone; absent where there are none, or too few loaded ones.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rest: Option<RestZero>,
 }
 
 /// One moment: mean = offset + trend(z) beta + k(z) alpha.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct OutputMap {
-    /// Mean's basis.
+    /// Basis of the mean: constant, affine, quadratic.
     pub trend: Trend,
     /// Correlation, scaled input units.
     pub kernel: Kernel,
@@ -64,7 +66,7 @@ pub struct OutputMap {
     pub inflation: f64,
     /// Added to the mean, N mm.
     pub offset_nmm: f64,
-    /// Trend coefficients, N mm.
+    /// Coefficients of the trend, N mm.
     pub beta: Vec<f64>,
     /// Weights of the readings, N mm; empty without a kernel.
     pub alpha: Vec<f64>,

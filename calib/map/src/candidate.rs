@@ -13,10 +13,11 @@ use crate::process::{LeftOut, Process, ProcessModel};
 use crate::student::{binomial_bounds, half95, log_density};
 use crate::training::MapTraining;
 use crate::trend::Trend;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Candidates, simplest first: the order in which ties are decided.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MapKind {
     /// Affine least squares.

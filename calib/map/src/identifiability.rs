@@ -8,6 +8,7 @@
 use crate::error::MapError;
 use crate::training::MapTraining;
 use nalgebra::{DMatrix, Matrix2, Vector2};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Share of a moment's variance that left-out predictions must explain for it to count as determined.
@@ -18,7 +19,7 @@ const CONDITION_LIMIT: f64 = 10.0;
 const FLAT_CLOUD: f64 = 0.1;
 
 /// Affine law of the shifts: shift = zero + K m.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct WavelengthFromMoment {
     /// Shift at zero moment, pm.
     pub zero_pm: [f64; 2],
@@ -50,7 +51,7 @@ impl WavelengthFromMoment {
 }
 
 /// Numbers and sentences on what the readings determine.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct IdentifiabilityReport {
     /// Affine law of the shifts.
     pub law: WavelengthFromMoment,

@@ -7,6 +7,7 @@
 use crate::error::MapError;
 use crate::geometry::distance;
 use nalgebra::DMatrix;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Safe radius as a multiple of the diameter of readings and declared domain.
@@ -16,7 +17,7 @@ use serde::{Deserialize, Serialize};
 pub const RADIUS_PER_DIAMETER: f64 = 1.6;
 
 /// Correlation between two scaled inputs; every one is 1 at distance 0.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case", tag = "form")]
 pub enum Kernel {
     /// No correlated part: a plain regression on the trend.
@@ -24,12 +25,12 @@ pub enum Kernel {
     /// (2 r^3 - 3 R r^2 + R^3) / R^3, the kernel of Williams & Fitzgibbon (2007, Gaussian process implicit surfaces)
     /// scaled to 1 at r = 0.
     ThinPlate {
-        /// R, scaled input units.
+        /// R of the thin plate, scaled.
         radius: f64,
     },
     /// Matern with smoothness 5/2 (Rasmussen & Williams 2006, eq. 4.17), isotropic.
     Matern52 {
-        /// Length scale, scaled input units.
+        /// Length scale of Matern 5/2, scaled.
         length: f64,
     },
 }

@@ -4,15 +4,17 @@
 //! rests on the kernel alone, is no longer tested by any left-out reading.
 
 use crate::geometry::{convex_hull, diameter, distance_to_polygon};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Default margin of the valid region as a share of the diameter of the readings.
 pub const DEFAULT_MARGIN: f64 = 0.1;
 
 /// Convex hull of the readings (and of any declared domain) in the wavelength plane, grown by a margin.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ValidRegion {
     /// Always `hull`.
+    #[schemars(extend("enum" = ["hull"]))]
     pub kind: String,
     /// Hull vertices, counter-clockwise, pm.
     pub vertices_pm: Vec<[f64; 2]>,

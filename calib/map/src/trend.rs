@@ -4,13 +4,14 @@
 //! "Statistics for Spatial Data", 1993, sec. 3.4).
 
 use nalgebra::DMatrix;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Largest number of basis functions.
 pub const MAX_TERMS: usize = 6;
 
 /// Mean of the process, with coefficients estimated together with it (universal kriging).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Trend {
     /// Zero mean.

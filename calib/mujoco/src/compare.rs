@@ -7,12 +7,13 @@ use crate::engine::protocol::{Frame, Request};
 use crate::mjcf::{MjcfOptions, mjcf};
 use crate::{MujocoEngine, TwinError};
 use nalgebra::Vector3;
+use schemars::JsonSchema;
 use serde::Serialize;
 use wcal_core::observation::WhiskerSpec;
 use wcal_rod::{Guess, Rod, Tangential};
 
 /// Under the rod's own contact force: how far the wire is from where the rod is.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct Statics {
     /// Links.
     pub links: usize,

@@ -21,9 +21,8 @@ const MAX_STEPS: u64 = 20_000;
 const RELEASED_RETREAT_M: f64 = 0.06;
 /// Steps that settle a pose in the released program: all of them, at rest or not.
 const SETTLE: Settle = Settle { steps: 4000, rest_rad_s: 0.0 };
-/// The same on another way, where other equilibria are distinguished from this one, and at the smooth tip, whose moments are compared.
+/// The same on another way, where other equilibria are distinguished from this one.
 const AGAIN: Settle = Settle { steps: 2500, rest_rad_s: 3e-3 };
-const SMOOTH: Settle = Settle { steps: 2500, rest_rad_s: 3e-4 };
 /// Steps after which it is checked whether the wire rests.
 const CHECK_STEPS: u64 = 250;
 /// A wire at rest: fastest joint, rad/s (friction lets it creep on for long).
@@ -78,15 +77,6 @@ impl PoseLabel {
     }
 }
 
-/// Moments at a pose as the tip's ways of being real are added to the ideal contact, N mm; none where the wire is not held.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Tip {
-    /// The groove's shape alone: hard, without friction. Less the ideal contact's moment: the play.
-    pub hard_smooth_nmm: Option<Vector3<f64>>,
-    /// With the released contact's softness. What is left to the label itself is friction.
-    pub soft_smooth_nmm: Option<Vector3<f64>>,
-}
-
 /// Labels at the groove's places of each trajectory (session's frame, in order of travel); trajectories run side by side. `each` is called
 /// twice a place.
 ///
@@ -112,26 +102,6 @@ pub fn labels(
         }
     }
     Ok(labels)
-}
-
-/// The tip's shape and softness separately from its friction, at the places of [`labels`]. `each` is called twice a place.
-///
-/// # Errors
-/// As [`labels`].
-pub fn tip(
-    whisker: &WhiskerSpec,
-    preset: Preset,
-    trajectories: &[Vec<Vector3<f64>>],
-    each: &(dyn Fn() + Sync),
-) -> Result<Vec<Vec<Tip>>, TwinError> {
-    let with = |touch: Touch| {
-        let touch = Touch { friction: 0.0, ..touch };
-        run(whisker, preset, touch, trajectories, SMOOTH, false, each)
-    };
-    let (hard, soft) = (with(Touch::default())?, with(Touch::RELEASED)?);
-    let held = |label: &PoseLabel| label.moment_nmm.filter(|_| label.arclength_mm.is_some());
-    let pose = |(a, b): (&PoseLabel, &PoseLabel)| Tip { hard_smooth_nmm: held(a), soft_smooth_nmm: held(b) };
-    Ok(hard.iter().zip(&soft).map(|(a, b)| a.iter().zip(b).map(pose).collect()).collect())
 }
 
 /// The trajectories as the released program ran them: one after the other, the wire's motion carried on, which decides where friction

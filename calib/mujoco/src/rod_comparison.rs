@@ -11,6 +11,7 @@ use crate::convex::Convex;
 use crate::mjcf::MjcfOptions;
 use crate::{CableEngine, TwinError};
 use nalgebra::Vector3;
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -25,7 +26,7 @@ const BIN_MM_S: f64 = 1.0;
 const MAX_BINS: usize = 8;
 
 /// Samples of both engines at speeds of one bin.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct SpeedRow {
     /// Speeds of the base, mm/s: from, to.
     pub speed_mm_s: [f64; 2],
@@ -50,7 +51,7 @@ pub struct SpeedRow {
 }
 
 /// The table.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct RodComparison {
     /// Sweeps that both kept, of those run.
     pub kept: [usize; 2],

@@ -1,14 +1,12 @@
 //! What a report is made of: plain data that other crates computed.
 //!
-//! Everything is public and serialisable; an empty list means "not part of this run" and the section says so.
+//! Everything is public; an empty list means "not part of this run" and the section says so.
 
-use crate::nullable::or_nan;
-use serde::{Deserialize, Serialize};
 use wcal_core::verify_document::{EffectParameter, HeldOutError, Verdict, VerifyDocument};
 use wcal_core::{Provenance, ResidualRecord};
 
 /// Everything that the page of one session shows.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct ReportInput {
     /// Heading, e.g. `Calibration of whisker 3`; empty: the session identifier stands for it.
     pub title: String,
@@ -19,8 +17,7 @@ pub struct ReportInput {
     pub accepted_on_request: bool,
     /// Name and value of what the reader should know of the session: wire, medium, rows by role, devices.
     pub facts: Vec<Fact>,
-    /// Result of `verify`; stored in verify.json and nowhere else.
-    #[serde(skip_serializing)]
+    /// Result of `verify`.
     pub verify: VerifyDocument,
     /// Every reading with its residuals, in time order.
     pub residuals: Vec<ResidualRecord>,
@@ -36,8 +33,6 @@ pub struct ReportInput {
     pub twin: Vec<TwinTrajectory>,
     /// Candidates that were tested, best first.
     pub evidence: Vec<EvidenceRow>,
-    /// Cosines between the projected signatures.
-    pub isolability: Option<Isolability>,
     /// Explanations that were refitted, best first.
     pub explanations: Vec<Explanation>,
     /// Program, command, seed and files by hash.
@@ -63,7 +58,6 @@ impl ReportInput {
             moment_names: ["moment 1".into(), "moment 2".into()],
             twin: Vec::new(),
             evidence: Vec::new(),
-            isolability: None,
             explanations: Vec::new(),
             provenance,
             versions: Vec::new(),
@@ -115,7 +109,7 @@ impl IndexEntry {
 }
 
 /// A name and what is said of it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fact {
     /// Name.
     pub name: String,
@@ -131,7 +125,7 @@ impl Fact {
 }
 
 /// Held-out errors of one more model or of another split.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct NamedError {
     /// What was judged, e.g. `black-box GP (rival)`.
     pub name: String,
@@ -140,7 +134,7 @@ pub struct NamedError {
 }
 
 /// One test of the omnibus gate.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct GateTest {
     /// Test, e.g. `lack of fit F`.
     pub name: String,
@@ -153,7 +147,7 @@ pub struct GateTest {
 }
 
 /// Twin check along one trajectory.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct TwinTrajectory {
     /// Trajectory as in the points table.
     pub id: u32,
@@ -166,33 +160,31 @@ pub struct TwinTrajectory {
 }
 
 /// One equilibrium branch of the rod along a trajectory.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct RodBranch {
     /// Name, e.g. `followed from first touch`.
     pub name: String,
     /// Stage positions in order, mm.
     pub stage_mm: Vec<f64>,
     /// Moments at those positions, N mm, same length.
-    #[serde(deserialize_with = "or_nan")]
     pub moment_nmm: Vec<[f64; 2]>,
 }
 
 /// One label of the outside twin.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct TwinMark {
     /// Point number.
     pub point: i64,
     /// Stage position, mm.
     pub stage_mm: f64,
     /// Moments, N mm.
-    #[serde(deserialize_with = "or_nan")]
     pub moment_nmm: [f64; 2],
     /// Kind of fault; `None` for a good label.
     pub fault: Option<String>,
 }
 
 /// One candidate that was tested.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct EvidenceRow {
     /// Effect identifier.
     pub id: String,
@@ -214,26 +206,12 @@ pub struct EvidenceRow {
     pub why: String,
 }
 
-/// Cosines between projected signatures.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Isolability {
-    /// Effect identifiers, n of them.
-    pub names: Vec<String>,
-    /// n rows of n cosines, -1 to 1; NaN where a signature is absorbed.
-    #[serde(deserialize_with = "or_nan")]
-    pub cosine: Vec<Vec<f64>>,
-    /// The same in the wavelengths alone; none without pictures.
-    #[serde(default, deserialize_with = "or_nan")]
-    pub cosine_without_pictures: Option<Vec<Vec<f64>>>,
-}
-
 /// One explanation: a set of effects that was refitted through the full model.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Explanation {
     /// Effects; empty: the declared model alone.
     pub effects: Vec<String>,
     /// ln(likelihood / likelihood of the best), zero for the best, else negative.
-    #[serde(deserialize_with = "or_nan")]
     pub log_likelihood_ratio: f64,
     /// Bootstrap p-value of that ratio.
     pub p_value: Option<f64>,
@@ -242,7 +220,7 @@ pub struct Explanation {
 }
 
 /// A line of the overview page.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct IndexEntry {
     /// Link to the session's report, relative to the overview page; `#...` within one page; empty: no link.
     pub href: String,

@@ -3,7 +3,6 @@
 use crate::input::{Fact, IndexEntry, ReportInput};
 use crate::markup::{Table, TableCell, escape, paragraph};
 use crate::sections::{self, before_after, verdict};
-use crate::sweep_picture::SweepPicture;
 use std::fmt::Write;
 
 /// Badge of simulated data.
@@ -17,28 +16,11 @@ pub fn render(input: &ReportInput) -> String {
     document(input.heading(), input.verify.simulated, &session(input, "", "h1"))
 }
 
-/// Several sessions on one page: `title`, an introduction of plain paragraphs, an overview table, then each session.
+/// An overview page that links to session reports in the same folder.
 #[must_use]
-pub fn render_many(title: &str, introduction: &[&str], inputs: &[ReportInput]) -> String {
-    let entry = |(k, input): (usize, &ReportInput)| IndexEntry::of(input, format!("#s{}-top", k + 1));
-    let entries: Vec<IndexEntry> = inputs.iter().enumerate().map(entry).collect();
-    let mut body = overview(title, introduction, None, &entries);
-    for (k, input) in inputs.iter().enumerate() {
-        body += &session(input, &format!("s{}-", k + 1), "h2");
-    }
-    document(title, inputs.iter().any(|i| i.verify.simulated), &body)
-}
-
-/// An overview page that links to session reports in the same folder, with the picture of a sweep where there is one.
-#[must_use]
-pub fn render_index(
-    title: &str,
-    introduction: &[&str],
-    picture: Option<&SweepPicture>,
-    entries: &[IndexEntry],
-) -> String {
+pub fn render_index(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> String {
     let simulated = entries.iter().any(|e| e.verify.simulated);
-    document(title, simulated, &overview(title, introduction, picture, entries))
+    document(title, simulated, &overview(title, introduction, entries))
 }
 
 /// How every page begins: a page is told from other HTML by it.
@@ -160,12 +142,7 @@ pub(crate) fn facts(facts: &[Fact]) -> String {
     format!("<dl class=\"facts\">{rows}</dl>\n")
 }
 
-fn overview(
-    title: &str,
-    introduction: &[&str],
-    picture: Option<&SweepPicture>,
-    entries: &[IndexEntry],
-) -> String {
+fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> String {
     let mut out = format!("<header><p class=\"over\">Overview</p><h1>{}</h1>\n", escape(title));
     for text in introduction {
         out += &paragraph(text);
@@ -174,9 +151,6 @@ fn overview(
         out += "<p class=\"simulated\">Sessions marked SIMULATED are no measurements.</p>\n";
     }
     out += "</header>\n";
-    if let Some(picture) = picture {
-        out += &format!("<section id=\"sweep\" aria-label=\"Sweep\">{}</section>\n", picture.html());
-    }
     out += "<section id=\"overview\" aria-label=\"Overview\">";
     out += &before_after::overview_figure(entries);
     let mut table = Table::stacked(

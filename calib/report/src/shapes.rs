@@ -7,11 +7,10 @@ use crate::number::number;
 use crate::page::{facts, plain};
 use crate::plot::{Axis, Layer, Plot};
 use crate::sections::{legend, series};
-use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 
 /// What the page shows.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct ShapesInput {
     /// Heading.
     pub title: String,
@@ -28,7 +27,7 @@ pub struct ShapesInput {
 }
 
 /// One pair.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct ShapePair {
     /// Name.
     pub name: String,
@@ -47,7 +46,7 @@ pub struct ShapePair {
 }
 
 /// A picture and what was found in it, px, pixel centres at integers.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct ShapePicture {
     /// `left` or `right`.
     pub side: String,

@@ -2,16 +2,14 @@
 
 use crate::input::Fact;
 use crate::markup::{Table, TableCell, escape, list, paragraph};
-use crate::nullable::or_nan;
 use crate::number::{number, percent};
 use crate::page::simulated;
 use crate::plot::{Axis, Layer, Plot};
 use crate::sections::{legend, series};
-use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 
 /// What a report of sweeps shows.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct SweepsInput {
     /// Heading.
     pub title: String,
@@ -32,7 +30,7 @@ pub struct SweepsInput {
 }
 
 /// A dynamic engine against a quasi-static one on the same sweeps.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct EnginesCompared {
     /// What else is known of the difference, in sentences.
     pub remarks: Vec<String>,
@@ -41,37 +39,30 @@ pub struct EnginesCompared {
 }
 
 /// What differs at speeds of a range.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct SpeedDifference {
     /// Speeds of the base, mm/s.
     pub speed_mm_s: [f64; 2],
     /// Samples at which both touch.
     pub samples: usize,
     /// Share of them in another equilibrium; the differences leave them out.
-    #[serde(deserialize_with = "or_nan")]
     pub elsewhere: f64,
     /// Difference of the base moments, median and 95th percentile, N mm.
-    #[serde(deserialize_with = "or_nan")]
     pub moment_nmm: [f64; 2],
     /// Mean size of the moment over the quasi-static one's, less 1.
-    #[serde(deserialize_with = "or_nan")]
     pub bias: f64,
     /// Distance of the contacts, median and 95th percentile, mm.
-    #[serde(deserialize_with = "or_nan")]
     pub contact_mm: [f64; 2],
     /// Ripple of the moments, N mm.
-    #[serde(deserialize_with = "or_nan")]
     pub ripple_nmm: f64,
     /// Deepest overlap of wire and object, mm.
-    #[serde(deserialize_with = "or_nan")]
     pub overlap_mm: f64,
     /// Share of samples that chatter.
-    #[serde(deserialize_with = "or_nan")]
     pub chatter: f64,
 }
 
 /// An object's counts.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct SweptObject {
     /// Name.
     pub name: String,
@@ -86,7 +77,7 @@ pub struct SweptObject {
 }
 
 /// A sweep to draw.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct ExampleSweep {
     /// Object, number and verdict.
     pub title: String,
@@ -95,13 +86,11 @@ pub struct ExampleSweep {
 }
 
 /// A sample of a drawn sweep.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct ExampleSample {
     /// Time, s.
-    #[serde(deserialize_with = "or_nan")]
     pub t_s: f64,
     /// Transverse base moments y and z, N mm.
-    #[serde(deserialize_with = "or_nan")]
     pub moment_nmm: [f64; 2],
     /// Arc length of the contact nearest to the base, mm.
     pub contact_arclength_mm: Option<f64>,

@@ -8,10 +8,7 @@ mod headless;
 mod not_run;
 
 use std::fs;
-use wcal_report::{
-    IndexEntry, ShapePair, ShapePicture, ShapesInput, render, render_index, render_many, render_map,
-    render_shapes,
-};
+use wcal_report::{IndexEntry, ShapePair, ShapePicture, ShapesInput, render, render_index, render_shapes};
 
 /// A pair whose names would break a careless page.
 fn shapes() -> ShapesInput {
@@ -42,10 +39,9 @@ fn pages_load_without_a_word_on_the_console() {
     let samples = data::all();
     let entries: Vec<IndexEntry> = samples.iter().map(|i| IndexEntry::of(i, "report.html")).collect();
     let pages = [
-        ("many.html", render_many("Many", &[], &samples[..2])),
-        ("index.html", render_index("Index", &[], None, &entries)),
+        ("report.html", render(&samples[0])),
+        ("index.html", render_index("Index", &[], &entries)),
         ("shapes.html", render_shapes(&shapes())),
-        ("map.html", render_map(&data::map())),
     ];
     for (name, page) in pages {
         let path = folder.path().join(name);
@@ -74,8 +70,7 @@ fn nothing_is_wider_than_a_phone() {
     let Some(browser) = headless::browser() else { return };
     let page = render(&data::whisker());
     let entries = [IndexEntry::of(&data::whisker(), "report.html")];
-    let map = render_map(&data::map());
-    for page in [&page, &render_index("Index", &[], None, &entries), &render_shapes(&shapes()), &map] {
+    for page in [&page, &render_index("Index", &[], &entries), &render_shapes(&shapes())] {
         assert!(headless::content_width(&browser, page, 400) <= 400);
     }
     let wide = page.replace("<main>", "<main><div style=\"width:900px\">wide</div>");

@@ -8,9 +8,9 @@ use quick_xml::events::Event;
 use wcal_core::Provenance;
 use wcal_core::verify_document::{HeldOutError, NoiseFloor, SecondWitness, UnknownEffect, Verdict};
 use wcal_report::{
-    DynamicsInput, DynamicsTrial, EnginesCompared, ExampleSample, ExampleSweep, Fact, IndexEntry,
-    Isolability, Page, PageError, ReportInput, ShapesInput, SpeedDifference, SweepsInput, TipEffect,
-    TwinInput, number, p_value, percent, render, render_index, render_many, render_map, with_interval,
+    EnginesCompared, ExampleSample, ExampleSweep, Fact, IndexEntry, ReportInput, ShapesInput,
+    SpeedDifference, SweepsInput, number, p_value, percent, render, render_index, render_shapes,
+    render_sweeps, with_interval,
 };
 
 /// Parses the page strictly; returns its text without tags, or what is wrong with it.
@@ -50,9 +50,7 @@ fn every_sample_is_well_formed_and_needs_nothing_from_outside() {
     let samples = data::all();
     let entries: Vec<IndexEntry> = samples.iter().map(|i| IndexEntry::of(i, "a.html")).collect();
     let mut pages: Vec<String> = samples.iter().map(render).collect();
-    pages.push(render_many("Many", &["Introduction."], &samples));
-    pages.push(render_index("Index", &[], None, &entries));
-    pages.push(render_map(&data::map()));
+    pages.push(render_index("Index", &[], &entries));
     for page in &pages {
         text_of(page).unwrap();
         let outside = page.replace("xmlns=\"http://www.w3.org/2000/svg\"", "");
@@ -84,7 +82,6 @@ fn every_section_is_there_and_the_contents_lead_to_it() {
         "found",
         "twin",
         "residuals",
-        "predicted",
         "evidence",
         "detectable",
         "noise",
@@ -214,14 +211,8 @@ fn hostile_text_stays_text() {
     input.evidence[0].law = text();
     input.evidence[0].status = text();
     input.explanations[0].effects = vec![text()];
-    input.isolability.as_mut().unwrap().names[0] = text();
     input.provenance.command = vec![text()];
     input.provenance.inputs[0].path = text();
-    let mut map = data::map();
-    map.chosen = text();
-    map.candidates[0].name = text();
-    map.identifiability.warnings = vec![text()];
-    map.valid_region = serde_json::json!({ HOSTILE: HOSTILE });
     for record in &mut input.residuals[..4] {
         record.channel = text();
         record.source = text();
@@ -229,8 +220,8 @@ fn hostile_text_stays_text() {
         record.rejected = Some(text());
         record.covariates.push((text(), record.measured));
     }
-    let index = render_index(HOSTILE, &[HOSTILE], None, &[IndexEntry::of(&input, HOSTILE)]);
-    let pages = [render(&input), render_many(HOSTILE, &[HOSTILE], &[input.clone()]), index, render_map(&map)];
+    let index = render_index(HOSTILE, &[HOSTILE], &[IndexEntry::of(&input, HOSTILE)]);
+    let pages = [render(&input), index];
     for page in pages {
         assert!(!page.contains("<script"), "markup got through");
         assert!(text_of(&page).unwrap().contains("<script>alert(1)</script>"));
@@ -240,7 +231,7 @@ fn hostile_text_stays_text() {
 #[test]
 fn links_cannot_run_scripts() {
     let entry = IndexEntry::of(&bare("axis"), "javascript:alert(1)");
-    assert!(!render_index("i", &[], None, &[entry]).contains("javascript:"));
+    assert!(!render_index("i", &[], &[entry]).contains("javascript:"));
 }
 
 #[test]
@@ -264,19 +255,11 @@ fn broken_numbers_leave_the_page_whole() {
         input.twin[0].labels[0].moment_nmm = [value; 2];
         input.twin[1].branches[0].stage_mm[3] = value;
         input.twin[2].snaps_mm = vec![value];
-        input.isolability = Some(Isolability {
-            names: vec!["a".into()],
-            cosine: vec![vec![value]],
-            cosine_without_pictures: Some(vec![vec![value]]),
-        });
         input.explanations[1].log_likelihood_ratio = value;
-        let mut map = data::map();
-        map.candidates[0].coverage95 = [value; 2];
-        for page in [render(&input), render_map(&map)] {
-            text_of(&page).unwrap();
-            let body = &page[page.find("<body>").unwrap()..];
-            assert!(!body.contains("NaN") && !body.contains("inf\"") && !body.contains(">inf"), "{value}");
-        }
+        let page = render(&input);
+        text_of(&page).unwrap();
+        let body = &page[page.find("<body>").unwrap()..];
+        assert!(!body.contains("NaN") && !body.contains("inf\"") && !body.contains(">inf"), "{value}");
     }
 }
 
@@ -305,96 +288,22 @@ fn large_sessions_are_thinned_but_keep_what_was_rejected() {
 }
 
 #[test]
-fn a_map_has_every_candidate_and_its_errors() {
-    let map = data::map();
-    let text = text_of(&render_map(&map)).unwrap();
-    for c in &map.candidates {
-        let numbers =
-            [c.loo_rmse_nmm.map(number), c.coverage95.map(percent), c.loto_rmse_nmm.unwrap().map(number)];
-        assert!(
-            numbers.iter().flatten().all(|n| text.contains(n.as_str())) && text.contains(&c.name),
-            "{}",
-            c.name
-        );
-    }
-    assert!(text.contains("thin-plate (chosen)") && text.contains("SIMULATED"));
-    let measured = render_map(&wcal_core::map_document::MapDocument { simulated: false, ..map });
-    assert!(!measured.contains(">SIMULATED<"), "measured data must not carry the badge");
-}
-
-#[test]
-fn a_stored_page_is_the_same_page_again() {
-    for mut input in data::all() {
-        // JSON has no NaN: it comes back as such.
-        input.explanations.iter_mut().for_each(|e| e.log_likelihood_ratio = f64::NAN);
-        if let Some(isolability) = &mut input.isolability {
-            isolability.cosine[0][1] = f64::NAN;
-        }
-        let verify = serde_json::to_string_pretty(&input.verify).unwrap();
-        let page = Page::Session(Box::new(input));
-        let stored = page.to_json().unwrap();
-        assert!(!stored.contains("\"verdict\""), "verify.json alone says what was found");
-        let again = Page::from_json(&stored, Some(&verify)).unwrap();
-        assert_eq!(again.render(), page.render());
-
-        // What is cut off, of another version, or without its result is named, and gives no page.
-        for end in [0, 1, stored.len() / 2, stored.len() - 3] {
-            assert!(
-                matches!(Page::from_json(&stored[..end], Some(&verify)), Err(PageError::Content(_))),
-                "{end}"
-            );
-        }
-        assert!(matches!(
-            Page::from_json(&stored, Some(&verify[..verify.len() / 2])),
-            Err(PageError::Result(_))
-        ));
-        assert!(matches!(Page::from_json(&stored, None), Err(PageError::NoResult)));
-        let other = stored.replace("wcal-report/1", "wcal-report/99");
-        assert!(
-            matches!(Page::from_json(&other, Some(&verify)), Err(PageError::Format(f)) if f.contains("wcal-report/99"))
-        );
-        let lacking = stored.replace("\"residuals\"", "\"residues\"");
-        assert!(
-            matches!(Page::from_json(&lacking, Some(&verify)), Err(PageError::Content(e)) if e.to_string().contains("residuals"))
-        );
-    }
-}
-
-#[test]
-fn pages_of_every_kind_come_again_with_numbers_that_are_not_known() {
+fn pages_of_shapes_and_sweeps_stay_whole_where_numbers_are_not_known() {
     let nan = f64::NAN;
-    let trial = DynamicsTrial {
-        stage: "coarse".into(),
-        bias_percent: nan,
-        ripple_nmm: 0.25,
-        total: nan,
-        ..Default::default()
-    };
     let sample =
         ExampleSample { t_s: 0.1, moment_nmm: [nan, 1.5], event: "none".into(), ..Default::default() };
-    let tip = TipEffect {
-        name: "play".into(),
-        along_percent: nan,
-        rms_percent: 0.5,
-        largest_percent: 1.0,
-        at_point: 7,
-    };
-    let pages = [
-        Page::Dynamics(DynamicsInput { trials: vec![trial], ..Default::default() }),
-        Page::Twin(TwinInput { tip: vec![tip], poses: 2, ..Default::default() }),
-        Page::Shapes(ShapesInput { rejected: vec![["a".into(), "b".into()]], ..Default::default() }),
-        Page::Sweeps(SweepsInput {
-            verdicts: vec![("kept".into(), 2)],
-            engines: Some(EnginesCompared {
-                by_speed: vec![SpeedDifference { bias: nan, contact_mm: [nan, 0.5], ..Default::default() }],
-                ..Default::default()
-            }),
-            examples: vec![ExampleSweep { title: "can".into(), samples: vec![sample.clone(), sample] }],
+    let sweeps = SweepsInput {
+        verdicts: vec![("kept".into(), 2)],
+        engines: Some(EnginesCompared {
+            by_speed: vec![SpeedDifference { bias: nan, contact_mm: [nan, 0.5], ..Default::default() }],
             ..Default::default()
         }),
-    ];
-    for page in pages {
-        let again = Page::from_json(&page.to_json().unwrap(), None).unwrap();
-        assert_eq!(again.render(), page.render());
+        examples: vec![ExampleSweep { title: "can".into(), samples: vec![sample.clone(), sample] }],
+        ..Default::default()
+    };
+    let shapes = ShapesInput { rejected: vec![["a".into(), "b".into()]], ..Default::default() };
+    for page in [render_sweeps(&sweeps), render_shapes(&shapes)] {
+        text_of(&page).unwrap();
+        assert!(!page[page.find("<body>").unwrap()..].contains("NaN"));
     }
 }

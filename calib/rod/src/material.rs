@@ -5,11 +5,12 @@
 //! [`Softening`]. The circular section's y is the integral of its stress: elastic inside |z| < q radius, flat beyond.
 
 use crate::dual::{Scalar, V3};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
 /// How the moment-curvature relation bends over past the onset.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "law", rename_all = "kebab-case")]
 pub enum Softening {
     /// Two straight lines: stiffness falls to `ratio` EI past the onset.
@@ -93,7 +94,7 @@ impl Softening {
 }
 
 /// Section of the wire.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Section {
     /// Bending stiffness at the root, N mm^2.
     pub ei_nmm2: f64,

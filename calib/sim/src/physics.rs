@@ -8,6 +8,7 @@ use crate::{SimError, SweepPlan};
 use nalgebra::Vector3;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use wcal_core::observation::WhiskerSpec;
@@ -16,7 +17,7 @@ use wcal_rod::{Configuration, DiscreteRod, Softening};
 const GRAVITY_M_S2: f64 = 9.806_65;
 
 /// What surrounds the wire.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Medium {
     /// Nothing: neither drag nor weight.
@@ -50,7 +51,7 @@ impl Medium {
 }
 
 /// How the physics of sweeps is drawn; all off by default.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PhysicsPlan {
     /// Coefficient of friction between wire and object.

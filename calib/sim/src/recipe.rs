@@ -1,6 +1,7 @@
 //! `recipe.json`: what the shards of a folder follow from, written before the first of them, so that a folder holds one dataset and no mixture.
 
 use crate::{Dataset, Mesh, SimError, shard};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -15,22 +16,32 @@ const FORMAT: &str = "wcal-sweep-recipe/2";
 const MAX_NAMED: usize = 8;
 
 /// What a dataset follows from; the number of sweeps is none of it, a dataset may grow.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Recipe {
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Recipe {
+    /// Format and version.
+    #[schemars(extend("const" = FORMAT))]
     format: String,
+    /// Engine and its settings: `name` (`rod` or `mujoco`), and what else its tables follow from: `links` and `method` of the rod, `options` and
+    /// `rod` of MuJoCo.
     engine: Value,
+    /// Seed of every random draw.
     seed: u64,
+    /// How sweeps are drawn (the plan's keys).
     plan: Value,
+    /// The wire, by the names of session.toml.
     whisker: Value,
+    /// By object.
     objects: BTreeMap<String, Source>,
 }
 
 /// What an object's shards follow from.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Source {
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Source {
     /// SHA-256 of the mesh.
+    #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     mesh: String,
     /// As in the manifests of its shards.
+    #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     made_from: String,
 }
 

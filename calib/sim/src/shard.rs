@@ -23,6 +23,7 @@ use crate::rod_engine::Run;
 use crate::sweep::{ENGINE_DIED, Event, Sweep};
 use crate::{Sample, SimError, Verdict};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -36,15 +37,18 @@ use wcal_rod::Contact;
 pub const FORMAT: &str = "wcal-sweeps/1";
 
 /// What a shard holds, and the checksums of its tables.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Manifest {
-    /// `wcal-sweeps/1`.
+    /// Format and version.
+    #[schemars(extend("const" = FORMAT))]
     pub format: String,
     /// Always true: no shard is measured.
+    #[schemars(extend("const" = true))]
     pub simulated: bool,
     /// Object.
     pub object: String,
     /// SHA-256 of engine, whisker, plan, mesh and seed: what the tables follow from.
+    #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub made_from: String,
     /// First sweep and their number.
     pub sweeps: [u64; 2],

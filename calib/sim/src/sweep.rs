@@ -9,6 +9,7 @@ use crate::{Mesh, SimError};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::cell::Cell;
@@ -17,7 +18,7 @@ use wcal_core::ranges::{self, Range};
 use wcal_rod::{ClosestPoint, Contact, Surface};
 
 /// How sweeps are drawn (docs/src/system.md: 3-7 mm/s, +-0.4 mm/s^2, series of 5 Hz).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SweepPlan {
     /// Speeds, mm/s.
@@ -50,7 +51,7 @@ pub struct SweepPlan {
 }
 
 /// How an object is turned before a sweep.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Turn {
     /// At random, uniform over rotations.
@@ -301,7 +302,7 @@ impl Surface for MovingObject<'_> {
 }
 
 /// What happened since the sample before.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Event {
     /// Nothing.

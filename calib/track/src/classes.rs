@@ -8,6 +8,7 @@ use crate::evaluate::held_out_regions;
 use crate::score::{CHI2_90, EstimateError, calibrating_factor};
 use crate::sweep_series::SweepSeries;
 use crate::tracker::Tracker;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,7 +16,7 @@ use std::collections::{BTreeMap, BTreeSet};
 pub type ObjectClasses = BTreeMap<String, String>;
 
 /// Factors on the stated standard deviations for a class.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ClassSpread {
     /// Held-out objects of the class.
     pub objects: usize,
@@ -63,13 +64,13 @@ pub fn of_class(all: &BTreeMap<String, ClassSpread>, class: &str) -> Result<[f64
 }
 
 /// Share of true contacts in the stated 90 % regions over objects of a class.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct ClassCoverage {
     /// Class.
     pub class: String,
     /// Objects and instants with contact.
     pub objects: usize,
-    /// See `objects`.
+    /// Instants with contact.
     pub instants: usize,
     /// With the common factor: base's speed not known, and known.
     pub common: [f64; 2],

@@ -8,6 +8,7 @@ use crate::sweep_series::SweepSeries;
 use crate::tracker::{Sample, Tracker};
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use wcal_sim::Mesh;
@@ -122,7 +123,7 @@ fn static_point(inverse: &StaticInverse, moment_nmm: [f64; 2], arclength_mm: f64
 }
 
 /// What a method gave on the series over one object.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct ObjectScores {
     /// Object.
     pub name: String,

@@ -17,6 +17,7 @@ use crate::error::TrackError;
 use force::{moment, solve_ray, solve_tilts};
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use wcal_core::observation::{RestShape, WhiskerSpec};
@@ -26,12 +27,12 @@ use wcal_rod::{DiscreteRod, Section, Shape};
 mod force;
 
 /// How fine the table is.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct InverseGrid {
     /// First arc length and distance of the nodes, mm; the last is the tip.
     pub first_mm: f64,
-    /// See `first_mm`.
+    /// Distance of the nodes, mm.
     pub step_mm: f64,
     /// Nodes for each one at which the rod is solved; those between are interpolated.
     pub refine: usize,
@@ -43,7 +44,7 @@ pub struct InverseGrid {
     /// Largest moment, N mm, and its steps.
     #[serde(alias = "most_nmm")]
     pub max_nmm: f64,
-    /// See `max_nmm`.
+    /// Its steps.
     pub steps: usize,
     /// Links of the wire.
     pub links: usize,

@@ -14,6 +14,7 @@ use burn::tensor::Device;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -42,13 +43,16 @@ const RANGES: &[Range] = &[
 const REST: &[Range] = &[Range::real("", -1e18, 1e18)];
 
 /// What a model is and where it comes from.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Card {
-    /// `wcal-model/1`.
+    /// Format and version.
+    #[schemars(extend("const" = FORMAT))]
     pub format: String,
     /// Always true: the network has seen simulated sweeps only.
+    #[schemars(extend("const" = true))]
     pub trained_on_simulation: bool,
     /// SHA-256 of `model.safetensors`.
+    #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub weights_sha256: String,
     /// Sizes.
     pub network: NetworkConfig,
@@ -96,7 +100,7 @@ pub struct Card {
 }
 
 /// What is split into training, early stop and test.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum SplitBy {
     /// Whole objects: the test's are never seen.
@@ -153,7 +157,7 @@ impl Card {
 }
 
 /// Objects by their use.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Split {
     /// Trained on.
     pub training: Vec<String>,

@@ -12,6 +12,7 @@
 //! Source of the calibration: V. Vovk, A. Gammerman, G. Shafer, "Algorithmic Learning in a Random World", 2005.
 
 use nalgebra::{Matrix3, Vector3};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 /// Squared radius of the 90 % region of three Gaussian numbers (chi-squared, three degrees of freedom).
@@ -112,7 +113,7 @@ impl SweepSums {
 }
 
 /// Scores over many estimates.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, JsonSchema)]
 pub struct Scores {
     /// Number of estimates.
     pub samples: usize,
@@ -120,7 +121,7 @@ pub struct Scores {
     pub rmse_mm: f64,
     /// Mean and 95 % quantile of the distance to the surface, mm.
     pub mean_mm: f64,
-    /// See `mean_mm`.
+    /// mm.
     pub p95_mm: f64,
     /// RMSE to the true contact, mm.
     pub true_contact_rmse_mm: f64,
@@ -177,7 +178,7 @@ pub fn calibrating_factor(all: &[EstimateError]) -> f64 {
 }
 
 /// Precision, recall and their harmonic mean.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, JsonSchema)]
 pub struct Detection {
     /// Share of what was called contact that is.
     pub precision: f64,

@@ -10,11 +10,12 @@
 //! Source: conformal prediction by groups (Mondrian), V. Vovk, A. Gammerman, G. Shafer, "Algorithmic Learning in a Random World", 2005, 4.5.
 
 use crate::score::{EstimateError, calibrating_factor};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Factors on stated standard deviations by how wide the network itself states them: where it is sure it may be too modest, where it is lost too
 /// bold, and how often it is lost differs from bench to bench (conformal by groups: V. Vovk et al., "Algorithmic Learning in a Random World").
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SdFactors {
     /// Spreads (root of the covariance's trace) at which the factors hold, mm, rising; between them factors go with the spread's logarithm,
     /// beyond them they stay.

@@ -9,6 +9,7 @@
 //! contact slides about as far as the base travels.
 
 use nalgebra::{Matrix3, Vector3};
+use schemars::JsonSchema;
 use serde::Serialize;
 
 /// Probability at which a segment begins, and below which it ends.
@@ -19,7 +20,7 @@ const JUMP_MM: f64 = 3.0;
 const JUMP_SDS: f64 = 3.0;
 
 /// Why a segment begins or ends.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum SegmentBoundary {
     /// The recording begins or ends.
@@ -33,7 +34,7 @@ pub enum SegmentBoundary {
 }
 
 /// An interval with one contact that moves without a break.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Segment {
     /// Number, from 1, a whisker.
     pub number: u64,

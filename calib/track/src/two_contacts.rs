@@ -16,6 +16,7 @@ use crate::score::{Detection, detection};
 use crate::sweep_series::{SweepSample, SweepSeries};
 use crate::tracker::{Sample, Tracker};
 use rayon::prelude::*;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 /// A sample with contact.
@@ -90,7 +91,7 @@ pub fn network_evidence<'a>(
 }
 
 /// Detection of two contacts given the truth of the sample before.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct OneStepDetection {
     /// By the count before alone: as many as before.
     pub f1_as_before: f64,
@@ -136,11 +137,11 @@ pub fn two_contacts_given_previous(
 }
 
 /// Detection of two contacts.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
 pub struct TwoContacts {
     /// Samples with contact, and the share of those with two or more.
     pub instants: usize,
-    /// See `instants`.
+    /// Share with two or more.
     pub share: f64,
     /// Evidence below which two are called, chosen on other sweeps.
     pub limit_log_evidence: f64,

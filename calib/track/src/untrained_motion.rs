@@ -11,6 +11,7 @@
 
 use crate::train::TrainSettings;
 use nalgebra::Vector3;
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::VecDeque;
 
@@ -38,7 +39,7 @@ const STILL_SHARE: f64 = 0.01;
 const STILL_S: f64 = 20.0;
 
 /// A motion that no training sweep has.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum UntrainedMotion {
     /// The base stands or creeps past what it touches.

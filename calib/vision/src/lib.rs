@@ -15,7 +15,6 @@ pub mod profile;
 pub mod rig;
 pub mod rigid;
 pub mod shape;
-pub mod stages;
 pub mod stereo;
 pub mod tags;
 pub mod wire;

@@ -80,36 +80,6 @@ impl Picture {
         small
     }
 
-    /// Mean of pictures of one scene; the first one's size counts.
-    ///
-    /// # Errors
-    /// Where there is none, or their sizes differ.
-    pub fn mean(pictures: &[Self]) -> Result<Self, VisionError> {
-        let first = pictures.first().map(|p| [p.width, p.height]);
-        let Some([width, height]) = first.filter(|s| pictures.iter().all(|p| [p.width, p.height] == *s))
-        else {
-            let found: Vec<String> = pictures.iter().map(|p| format!("{}x{}", p.width, p.height)).collect();
-            return Err(VisionError::result("average pictures", "one size", found.join(", ")));
-        };
-        let count = pictures.len() as u32;
-        let mean = |k: usize| {
-            let sum: u32 = pictures.iter().map(|p| u32::from(p.data[k])).sum();
-            ((sum + count / 2) / count) as u8
-        };
-        Ok(Self { width, height, data: (0..width * height).map(mean).collect() })
-    }
-
-    /// What differs from a background picture of the same size, about a middle grey; unchanged where the sizes differ.
-    #[must_use]
-    pub fn less(&self, background: &Self) -> Self {
-        if [self.width, self.height] != [background.width, background.height] {
-            return self.clone();
-        }
-        let difference = |(a, b): (&u8, &u8)| (128 + i16::from(*a) - i16::from(*b)).clamp(0, 255) as u8;
-        let data = self.data.iter().zip(&background.data).map(difference).collect();
-        Self { data, ..*self }
-    }
-
     /// Grey value of a pixel; the border is continued outwards.
     #[must_use]
     pub fn at(&self, x: i64, y: i64) -> f64 {

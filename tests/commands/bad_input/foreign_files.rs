@@ -242,12 +242,6 @@ fn formats_of_other_versions_are_refused() {
         judge(&wcal(place.path(), &simulate), code, says).unwrap_or_else(|why| panic!("{format:?}: {why}"));
         let _ = fs::remove_dir_all(place.path().join("o"));
     }
-    let session = fixture("nist/pontius");
-    judge(&wcal(place.path(), &["verify", session.to_str().unwrap(), "--out", "v"]), 0, &[]).unwrap();
-    let verify = fs::read_to_string(place.path().join("v/verify.json")).unwrap();
-    write("v/verify.json", &verify.replace("wcal-verify/", "wcal-verify/7"));
-    judge(&wcal(place.path(), &["report", "v"]), 1, &["verify.json", "wcal-verify/7", "update wcal"])
-        .unwrap();
 }
 
 #[test]
@@ -284,24 +278,4 @@ fn a_whisker_of_metres_or_with_exchanged_moduli_is_named() {
         judge(&run(), 0, &[]).unwrap();
         fs::remove_dir_all(place.path().join("o")).unwrap();
     }
-}
-
-/// `wcal report notes.json` writes notes.html only in place of a page of its own.
-#[test]
-fn a_page_takes_no_other_files_place() {
-    let place = tempfile::tempdir().unwrap();
-    let session = fixture("nist/pontius");
-    judge(&wcal(place.path(), &["verify", session.to_str().unwrap(), "--out", "v"]), 0, &[]).unwrap();
-    fs::copy(place.path().join("v/report.json"), place.path().join("v/notes.json")).unwrap();
-    let page = place.path().join("v/notes.html");
-    let mine = "<!DOCTYPE html>\n<html lang=\"en\"><head><title>my notes</title></head></html>\n";
-    fs::write(&page, mine).unwrap();
-    judge(&wcal(place.path(), &["report", "v/notes.json"]), 1, &["notes.html", "another file"]).unwrap();
-    assert_eq!(fs::read_to_string(&page).unwrap(), mine);
-    fs::remove_file(&page).unwrap();
-    // Twice: the second time over the first page.
-    for _ in 0..2 {
-        judge(&wcal(place.path(), &["report", "v/notes.json"]), 0, &[]).unwrap();
-    }
-    assert_eq!(fs::read(&page).unwrap(), fs::read(place.path().join("v/report.html")).unwrap());
 }

@@ -53,6 +53,11 @@ fn in_schema(schema: &Value, root: &Value, at: &str, out: &mut Vec<String>) {
             "pattern" => value == SHA256,
             "minimum" | "maximum" | "exclusiveMinimum" => value.is_number(),
             "minItems" | "maxItems" | "minProperties" | "maxProperties" => value.is_u64(),
+            "prefixItems" => {
+                let all = value.as_array();
+                all.into_iter().flatten().for_each(|s| in_schema(s, root, &at, out));
+                all.is_some()
+            }
             other => REMARKS.contains(&other),
         };
         if !known {
@@ -96,6 +101,11 @@ fn in_value(schema: &Value, root: &Value, value: &Value, at: &str, out: &mut Vec
             "required" => value.as_object().is_none_or(|o| {
                 says.as_array().into_iter().flatten().all(|k| k.as_str().is_some_and(|k| o.contains_key(k)))
             }),
+            "prefixItems" => {
+                let pairs = value.as_array().into_iter().flatten().zip(says.as_array().into_iter().flatten());
+                pairs.enumerate().for_each(|(k, (v, s))| in_value(s, root, v, &format!("{at}/{k}"), out));
+                true
+            }
             "items" => {
                 for (k, item) in value.as_array().into_iter().flatten().enumerate() {
                     in_value(says, root, item, &format!("{at}/{k}"), out);

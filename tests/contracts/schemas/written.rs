@@ -61,10 +61,7 @@ impl Place<'_> {
     fn verify(&self, session: &str, out: &str, codes: &[i32]) -> Vec<Written> {
         self.run(&format!("verify {session} --out {out}"), codes);
         let calibration = format!("{out}/calibration.json");
-        let mut all = vec![
-            self.file("report", &format!("{out}/report.json")),
-            self.file("verify", &format!("{out}/verify.json")),
-        ];
+        let mut all = vec![self.file("verify", &format!("{out}/verify.json"))];
         if self.0.join(&calibration).exists() {
             all.push(self.file("calibration", &calibration));
         }
@@ -121,13 +118,6 @@ fn traced(place: &Place<'_>) -> Vec<Written> {
         place.file("fit-gpr", "map/fit-gpr.json"),
         place.file("calibration", "map/calibration.json"),
     ]);
-    all.push(place.printed("doctor", "doctor held --json", &[0, 3]));
-    all.push(place.printed("init", "init templates --json", &[0]));
-    all.push(place.printed(
-        "plan-check",
-        "plan-check rigs/plans/paper-27.toml --rig rigs/virtual --json",
-        &[3],
-    ));
     all.push(place.printed(
         "path",
         "stage-sweep --rig rigs/paper --plan rigs/plans/rich.toml --dry-run --json",
@@ -145,7 +135,7 @@ fn pictured(place: &Place<'_>) -> Vec<Written> {
         &[0, 3],
     );
     let cameras = "--cameras cameras/stereo.json --rig fixtures/stereo_bench/rig.toml";
-    place.run(&format!("stereo-shape {SCENE}/left {SCENE}/right {cameras} --report --out shapes"), &[0, 3]);
+    place.run(&format!("stereo-shape {SCENE}/left {SCENE}/right {cameras} --out shapes"), &[0, 3]);
     place.run(
         "simulate --object ball --object can --object vase --object cone --sweeps 3 --report --out sweeps",
         &[0],
@@ -158,8 +148,6 @@ fn pictured(place: &Place<'_>) -> Vec<Written> {
     vec![
         place.file("stereo", "cameras/stereo.json"),
         place.file("shapes", "shapes/shapes.json"),
-        place.file("report", "shapes/report.json"),
-        place.file("report", "sweeps/report.json"),
         place.file("dataset", "sweeps/dataset.json"),
         place.file("shard", "sweeps/can-000000.json"),
         place.file("recipe", "sweeps/recipe.json"),
@@ -204,29 +192,6 @@ fn swept(place: &Place<'_>) -> Vec<Written> {
         place.file("run", "session/run.json"),
         place.printed("reduction", "reduce session --json", &[0, 3]),
     ]
-}
-
-/// Makes every page of the folder again and compares it, byte by byte.
-pub fn pages_come_again(folder: &Path) {
-    let place = Place(folder);
-    for name in [
-        "cell-verified",
-        "berger1",
-        "whisker-verified",
-        "held-verified",
-        "judged",
-        "map",
-        "shapes",
-        "sweeps",
-        "model",
-        "evaluation",
-    ] {
-        let page = folder.join(name).join("report.html");
-        let first = std::fs::read(&page).unwrap_or_else(|e| panic!("{name}: {e}"));
-        std::fs::remove_file(&page).unwrap();
-        place.run(&format!("report {name}"), &[0]);
-        assert!(std::fs::read(&page).unwrap() == first, "{name}: another page");
-    }
 }
 
 /// First lines of the tables that [`documents`] left in the folder.

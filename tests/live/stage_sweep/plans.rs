@@ -72,12 +72,8 @@ fn a_plan_says_beforehand_what_it_cannot_tell_apart() {
 
 #[test]
 fn the_templates_are_a_rig_and_a_plan_that_fit() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    for kind in ["rig", "plan"] {
-        let run = program().args(["init", "--kind", kind]).arg(folder.path()).output().expect("wcal runs");
-        assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
-    }
-    let run = dry_run(folder.path(), &folder.path().join("plan.toml"), true);
+    let templates = repository("examples/templates");
+    let run = dry_run(&templates, &templates.join("plan.toml"), true);
     assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
     for plan in ["rigs/plans/paper-27.toml", "rigs/plans/rich.toml"] {
         for rig in ["rigs/paper", "rigs/virtual"] {

@@ -30,11 +30,11 @@ impl Node {
 }
 
 /// A piece of the 95 % region along the wire.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, schemars::JsonSchema)]
 pub struct Region {
     /// Arc length of first touch from and to, mm.
     pub from_mm: f64,
-    /// See `from_mm`.
+    /// To, mm.
     pub to_mm: f64,
     /// Probability of the piece.
     pub probability: f64,

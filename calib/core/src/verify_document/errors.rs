@@ -1,12 +1,16 @@
 //! The errors of verify.json on readings that no fit saw, and what each accepted effect, a given calibration or the tracker does to them.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Held-out errors of one model.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+/// Held-out errors of one model. The root mean squares stand under their names: `wavelength_rmse_pm` (wavelengths, pm) and `moment_rmse_nmm` (both
+/// moments pooled, N mm) of a whisker, `contact_rmse_mm` (distance of the seen contact from the predicted one, mm) of one with pictures,
+/// `response_rmse` of a transducer (unit of the response), `error_rmse_um` of an axis (position error, um).
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct HeldOutError {
     /// `holdout`, `loto` or `loo`.
+    #[schemars(extend("enum" = ["holdout", "loto", "loo"]))]
     pub split: String,
     /// Error by name: `wavelength_rmse_pm`, `moment_rmse_nmm`, `response_rmse`, `error_rmse_um`.
     #[serde(flatten)]
@@ -14,7 +18,7 @@ pub struct HeldOutError {
     /// The two moments separately (kind whisker).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_rmse_nmm_each: Option<[f64; 2]>,
-    /// 95 % intervals by the same names.
+    /// 95 % intervals by the names of the errors.
     pub interval95: BTreeMap<String, [f64; 2]>,
     /// Rows that counted.
     pub points: usize,
@@ -24,11 +28,11 @@ pub struct HeldOutError {
 }
 
 /// Leave-one-out error of a map from wavelengths to moments, N mm. Readings of one pose are left out together.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct MapLeftOut {
     /// Map: `affine`, or the one that the data choose.
     pub map: String,
-    /// Both moments pooled.
+    /// Both moments pooled, N mm.
     pub moment_rmse_nmm: f64,
     /// The two moments separately.
     pub moment_rmse_nmm_each: [f64; 2],
@@ -40,13 +44,14 @@ pub struct MapLeftOut {
 }
 
 /// What is lost without one accepted effect, the others refitted.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct EffectAblation {
     /// Effect.
     pub id: String,
     /// Root mean square of what the fit leaves, over that with the effect.
     pub misfit_ratio: f64,
     /// Chance of that gain without the effect, adjusted for the whole catalogue.
+    #[schemars(range(min = 0, max = 1))]
     pub p_value: f64,
     /// Held-out error with it, in the unit of the first error of `after`; absent without a holdout.
     pub held_out: Option<f64>,
@@ -55,13 +60,14 @@ pub struct EffectAblation {
 }
 
 /// How an existing calibration does on readings that were not in its fit.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct CalibrationJudgement {
     /// File.
     pub path: String,
     /// Hash of its content.
+    #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub content_sha256: String,
-    /// Errors.
+    /// Its errors.
     pub error: HeldOutError,
     /// Share of its stated 95 % intervals that hold their value.
     pub coverage95: f64,
@@ -74,7 +80,7 @@ pub struct CalibrationJudgement {
 }
 
 /// The tracker on the groove: its place from the moments and the stage's way alone, compared with where it is known to be.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GrooveTracking {
     /// Error in space, root mean square, mm.
     pub rmse_mm: f64,
@@ -92,6 +98,7 @@ pub struct GrooveTracking {
     /// Trajectories on which moments and motion do not belong together.
     pub doubted: usize,
     /// `holdout`: readings that were sealed; `fit`: those that the calibration was fitted to.
+    #[schemars(extend("enum" = ["holdout", "fit"]))]
     pub split: String,
     /// What the uncertainty of the map makes of a contact, by arc length.
     #[serde(default)]
@@ -100,15 +107,15 @@ pub struct GrooveTracking {
 
 /// Expanded uncertainties (twice the standard deviation) of a moment and of the contact that follows from it, on the trajectories of one arc
 /// length: root mean squares.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ContactUncertainty {
-    /// Arc length of first touch, mm.
+    /// Arc length of first touch, whole mm.
     pub arclength_mm: f64,
     /// Trajectories.
     pub trajectories: usize,
     /// Moment at the deepest reading, N mm.
     pub moment_nmm: f64,
-    /// Its uncertainty by the calibration alone, N mm.
+    /// Its expanded uncertainty (k = 2) by the calibration alone, N mm.
     pub moment_u_nmm: f64,
     /// Uncertainty of the contact by the calibration and by where the object passes the free wire, mm.
     pub contact_u_by_map_mm: f64,
@@ -117,13 +124,14 @@ pub struct ContactUncertainty {
 }
 
 /// What a calibration makes of a contact whose motion is known: `contact_uncertainty` of calibration.json.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CalibrationContact {
     /// k: expanded uncertainties are k standard deviations.
     pub coverage_factor: f64,
     /// How the uncertainties were computed.
     pub method: String,
     /// The readings whose trajectories and noise stand behind them: `holdout` (sealed) or `fit`.
+    #[schemars(extend("enum" = ["holdout", "fit"]))]
     pub split: String,
     /// By arc length of first touch.
     pub rows: Vec<ContactUncertainty>,

@@ -1,28 +1,30 @@
 //! What verify.json says was found, what could have been, and what to measure next.
 
 use crate::observation::PairLeftOut;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A group of labels that the twin got wrong.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TwinFault {
     /// Point numbers.
     pub points: Vec<i64>,
     /// `branch`, `contact-lost`, `discretisation`, `not-settled`, `unit`.
+    #[schemars(extend("enum" = ["branch", "contact-lost", "discretisation", "not-settled", "unit"]))]
     pub kind: String,
     /// Plain sentence.
     pub detail: String,
 }
 
 /// Result of stage 0.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct TwinCheck {
-    /// Faults found.
+    /// Groups of faulty labels.
     pub faults: Vec<TwinFault>,
 }
 
 /// A fitted parameter of an effect.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EffectParameter {
     /// Name, e.g. `friction_coefficient`.
     pub name: String,
@@ -30,12 +32,12 @@ pub struct EffectParameter {
     pub value: f64,
     /// Unit, `1` where dimensionless.
     pub unit: String,
-    /// 95 % interval.
+    /// 95 % interval: lower and upper end.
     pub interval95: [f64; 2],
 }
 
 /// An effect that the data asks for.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NamedEffect {
     /// Identifier of docs/src/formats.md.
     pub id: String,
@@ -45,6 +47,7 @@ pub struct NamedEffect {
     /// Effects that this data cannot distinguish from it, itself included.
     pub class: Vec<String>,
     /// p-value adjusted for the whole catalogue.
+    #[schemars(range(min = 0, max = 1))]
     pub p_value: f64,
     /// Fitted parameters.
     pub parameters: Vec<EffectParameter>,
@@ -54,9 +57,9 @@ pub struct NamedEffect {
 }
 
 /// What drives a residual that nothing explains.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct UnknownEffect {
-    /// Covariate.
+    /// Covariate that drives it.
     pub driver: String,
     /// `linear`, `quadratic`, `sinusoid`, `step`, `exponential`, `sign`, `dead-zone`, `irregular`.
     pub shape: String,
@@ -67,7 +70,7 @@ pub struct UnknownEffect {
 }
 
 /// A pose of the next measurement.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NextPose {
     /// Trajectory.
     pub trajectory: u32,
@@ -83,7 +86,7 @@ pub struct NextPose {
 }
 
 /// The measurement that would decide.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NextMeasurement {
     /// Effects that it separates.
     pub separates: Vec<String>,
@@ -92,11 +95,12 @@ pub struct NextMeasurement {
     /// Poses in order.
     pub poses: Vec<NextPose>,
     /// Probability that the measurement decides.
+    #[schemars(range(min = 0, max = 1))]
     pub expected_power: f64,
 }
 
 /// Detectability of one effect: the smallest size that these data show.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Detectable {
     /// Effect identifier.
     pub id: String,
@@ -108,13 +112,14 @@ pub struct Detectable {
     /// Unit of both.
     pub unit: String,
     /// `testable`, `absorbed`, `not-observable`.
+    #[schemars(extend("enum" = ["testable", "absorbed", "not-observable"]))]
     pub status: String,
     /// Reason.
     pub why: String,
 }
 
 /// What the pictures say in addition to the wavelengths.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct SecondWitness {
     /// Pairs that count.
     pub pairs: usize,

@@ -1,7 +1,7 @@
 //! Invented sessions; every one is labelled as a simulated sample.
 
 use std::collections::BTreeMap;
-use wcal_core::map_document::{Identifiability, MAP_FORMAT, MapCandidate, MapDocument};
+
 use wcal_core::verify_document::*;
 use wcal_core::{InputFile, Provenance, ResidualRecord};
 use wcal_report::*;
@@ -9,7 +9,7 @@ use wcal_report::*;
 #[path = "whisker.rs"]
 mod whisker;
 
-pub use whisker::{map, whisker};
+pub use whisker::whisker;
 
 const SAMPLE: &str = "SIMULATED SAMPLE, all numbers invented to show the page";
 

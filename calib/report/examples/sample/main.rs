@@ -5,7 +5,7 @@
 mod data;
 
 use std::{env, fs, io, path::PathBuf};
-use wcal_report::{IndexEntry, render, render_index, render_many, render_map};
+use wcal_report::{IndexEntry, render, render_index};
 
 fn main() -> io::Result<()> {
     let folder = PathBuf::from(env::args().nth(1).unwrap_or_else(|| ".".into()));
@@ -17,10 +17,8 @@ fn main() -> io::Result<()> {
         fs::write(folder.join(&name), render(input))?;
         entries.push(IndexEntry::of(input, name));
     }
-    fs::write(folder.join("map.html"), render_map(&data::map()))?;
     let introduction = ["Invented sessions that show what a report looks like."];
-    fs::write(folder.join("index.html"), render_index("Sample reports", &introduction, None, &entries))?;
-    fs::write(folder.join("many.html"), render_many("Sample sessions", &introduction, &sessions))?;
+    fs::write(folder.join("index.html"), render_index("Sample reports", &introduction, &entries))?;
     println!("{}", folder.join("index.html").display());
     Ok(())
 }

@@ -147,17 +147,6 @@ fn tracing(input: &mut ReportInput) {
             why: if k == 4 { "at the edge of its physical range".into() } else { String::new() },
         })
         .collect();
-    let cosine = |i: usize, j: usize| match (i.min(j), i.max(j)) {
-        (i, j) if i == j => 1.0,
-        (0, 1) => 0.981,
-        (2, 3) => 0.9971,
-        (i, j) => (0.9 - 0.17 * (j - i) as f64) * if (i + j) % 3 == 0 { -1.0 } else { 1.0 },
-    };
-    input.isolability = Some(Isolability {
-        names: names.map(str::to_owned).to_vec(),
-        cosine: (0..names.len()).map(|i| (0..names.len()).map(|j| cosine(i, j)).collect()).collect(),
-        cosine_without_pictures: None,
-    });
     let explanation = |effects: &[&str], ratio, p, survives| Explanation {
         effects: effects.iter().map(|e| (*e).to_owned()).collect(),
         log_likelihood_ratio: ratio,
@@ -171,41 +160,6 @@ fn tracing(input: &mut ReportInput) {
         explanation(&["hysteresis"], -11.2, Some(0.0005), false),
     ];
     input.versions = vec![Fact::new("rustc", "1.95.0")];
-}
-
-/// Maps of the same session.
-pub fn map() -> MapDocument {
-    let candidate = |name: &str, loo: [f64; 2], coverage: [f64; 2], evidence| MapCandidate {
-        name: name.into(),
-        loo_rmse_nmm: loo,
-        loto_rmse_nmm: Some(loo.map(|v| 1.31 * v)),
-        coverage95: coverage,
-        nll: loo.map(|v| v.ln() + 1.4),
-        log_evidence: evidence,
-    };
-    MapDocument {
-        format: MAP_FORMAT.into(),
-        simulated: true,
-        points: 27,
-        labels: "twin.csv repaired by rod".into(),
-        chosen: "thin-plate".into(),
-        rest: None,
-        candidates: vec![
-            candidate("thin-plate", [0.0112, 0.0093], [0.963, 0.926], Some(141.2)),
-            candidate("quadratic", [0.0125, 0.0118], [0.926, 0.963], Some(133.8)),
-            candidate("affine", [0.0291, 0.0227], [0.889, 0.926], Some(98.4)),
-            candidate("released", [0.0293, 0.0228], [0.741, 0.778], None),
-        ],
-        identifiability: Identifiability {
-            condition: 7.84,
-            warnings: vec![
-                "The z moment moves the readings least: its labels span a third of the y moment's range."
-                    .into(),
-            ],
-        },
-        valid_region: serde_json::json!({"kind": "hull", "margin": 0.05}),
-        hyperparameters: BTreeMap::from([("radius".into(), serde_json::json!(1.6))]),
-    }
 }
 
 fn twin(id: u32) -> TwinTrajectory {

@@ -2,11 +2,9 @@
 
 mod axis;
 mod draw;
-mod heat;
 mod rows;
 
 pub use axis::Axis;
-pub use heat::HeatMap;
 pub use rows::{Mark, RowChart, RowItem};
 
 /// Shape of a point; every series differs in shape as well as in colour.

@@ -1,15 +1,12 @@
-//! Evidence: gate, candidates, isolability, ambiguity picture, smallest detectable sizes.
+//! Evidence: gate, candidates, ambiguity picture, smallest detectable sizes.
 
 use super::{absent, figure};
-use crate::input::{EvidenceRow, Isolability, ReportInput};
+use crate::input::{EvidenceRow, ReportInput};
 use crate::markup::{Table, TableCell};
 use crate::number::{join_unit, number, p_value, quantity, split_unit, unit_text, with_interval};
-use crate::plot::{Axis, HeatMap, Mark, RowChart, RowItem};
+use crate::plot::{Axis, Mark, RowChart, RowItem};
 
-/// Cosine from which two effects are one class on this data.
-const SAME_CLASS: f64 = 0.995;
-
-/// Gate, candidates, isolability and ambiguity.
+/// Gate, candidates and ambiguity.
 pub(super) fn body(input: &ReportInput) -> String {
     let mut out = steps(input) + &gate(input);
     match input.evidence.as_slice() {
@@ -17,11 +14,7 @@ pub(super) fn body(input: &ReportInput) -> String {
         rows => out += &candidates(rows),
     }
     out += &pictures(input);
-    out += &ambiguity(input);
-    if let Some(matrix) = &input.isolability {
-        out += &isolability(input, matrix);
-    }
-    out
+    out + &ambiguity(input)
 }
 
 fn steps(input: &ReportInput) -> String {
@@ -122,37 +115,6 @@ fn ambiguity(input: &ReportInput) -> String {
         &chart.svg(),
         "Ambiguity picture: a short bar explains the data nearly as well as the best. Solid: survives the bootstrap; dashed outline: rejected.",
     )
-}
-
-fn isolability(input: &ReportInput, matrix: &Isolability) -> String {
-    let map = |title: &str, values: &[Vec<f64>]| {
-        let map = HeatMap {
-            title: title.into(),
-            description: "Cosines between the projected signatures of the effects".into(),
-            names: &matrix.names,
-            values,
-            outline_from: SAME_CLASS,
-        };
-        format!(
-            "<div class=\"scroll\" role=\"region\" tabindex=\"0\" aria-label=\"{title}\">{}</div>",
-            map.svg()
-        )
-    };
-    let mut out = figure(
-        input.verify.simulated,
-        "wide",
-        &map("Isolability matrix", &matrix.cosine),
-        "Isolability: cosines between the signatures once the nuisance parameters have taken their part. Outlined pairs (0.995 and above) are one class on this data; a dash stands for a signature that is absorbed.",
-    );
-    if let Some(values) = &matrix.cosine_without_pictures {
-        out += &figure(
-            input.verify.simulated,
-            "wide",
-            &map("Isolability without the pictures", values),
-            "The same in the wavelengths alone: what is outlined here and not above is distinguished by the pictures.",
-        );
-    }
-    out
 }
 
 /// What the pictures say in addition to the wavelengths; empty without them.

@@ -5,7 +5,6 @@ mod calibration;
 mod evidence;
 mod found;
 mod noise;
-mod predicted;
 mod provenance;
 mod readings;
 mod residuals;
@@ -44,11 +43,6 @@ pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
         sections.push(Section { id: "twin", title, body: twin::body(input) });
     }
     sections.push(Section { id: "residuals", title: "Residuals", body: residuals::body(input) });
-    sections.push(Section {
-        id: "predicted",
-        title: "Measured against predicted",
-        body: predicted::body(input),
-    });
     sections.push(Section { id: "evidence", title: "Evidence", body: evidence::body(input) });
     sections.push(Section {
         id: "detectable",

@@ -4,11 +4,12 @@
 //! S_pure = sum over settings, sum over their readings of (r - mean)^2,   F = ((S - S_pure) / d) / (S_pure / d_pure)
 //! ```
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// Pure error from readings of one stimulus, and lack of fit against it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct LackOfFit {
     /// Standard deviation of readings of one stimulus.
     pub pure_sd: f64,

@@ -1,5 +1,6 @@
 //! Parameters of the Bayes filters below a network; `filter` and `filter::transition` have the equations that they enter.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wcal_core::ranges::Range;
 
@@ -8,7 +9,7 @@ const MAX_FRICTIONS: usize = 3;
 
 /// Parameters of one filter. A pair of numbers is a constant part and a part by the base's travel, unless stated otherwise. The aliases are
 /// the names in models of before 2026-11-25.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BayesSettings {
     /// Moment above which there is a contact, N mm.

@@ -2,6 +2,7 @@
 
 use crate::error::TrackError;
 use crate::filter::FilterBank;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wcal_core::ranges::Range;
 
@@ -11,7 +12,7 @@ pub const COMMON_INPUTS: usize = 9;
 pub(crate) const PLACE_SCALE_MM: f64 = 30.0;
 
 /// Size and kind of the network.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NetworkConfig {
     /// Inputs of a token.
@@ -22,11 +23,11 @@ pub struct NetworkConfig {
     pub encoder: usize,
     /// Layers, heads, width and hidden width of the feed-forward part.
     pub layers: usize,
-    /// See `layers`.
+    /// Heads.
     pub heads: usize,
-    /// See `layers`.
+    /// Width.
     pub width: usize,
-    /// See `layers`.
+    /// Hidden width of the feed-forward part.
     pub feed_forward: usize,
     /// Dropout.
     pub dropout: f64,

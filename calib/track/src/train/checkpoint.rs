@@ -5,10 +5,11 @@ use super::settings::{Pass, TrainSettings};
 use crate::error::TrackError;
 use crate::network::NetworkConfig;
 use burn::module::Module;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-#[derive(Serialize, Deserialize)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 struct CheckpointState {
     network: NetworkConfig,
     settings: TrainSettings,

@@ -1,6 +1,7 @@
 //! How a network is trained, and its learning curve.
 
 use crate::filter::{BayesSettings, FilterBank};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wcal_core::ranges::Range;
 
@@ -22,14 +23,14 @@ pub const TRAINING_RANGES: &[Range] = &[
 ];
 
 /// How a network is trained.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainSettings {
     /// Passes over the series at most.
     pub epochs: usize,
     /// Sweep series in a batch, and tokens of each.
     pub batch: usize,
-    /// See `batch`.
+    /// Tokens of each.
     pub window: usize,
     /// Largest learning rate; it rises over the first part and falls to nothing along a half cosine.
     pub rate: f64,
@@ -44,9 +45,9 @@ pub struct TrainSettings {
     pub time_factor: [f64; 2],
     /// Largest noise of a moment, N mm (small ones are windows more often), gain error, and drift, N mm/s.
     pub noise_nmm: f64,
-    /// See `noise_nmm`.
+    /// Gain error.
     pub gain: f64,
-    /// See `noise_nmm`.
+    /// Drift, N mm/s.
     pub drift_nmm_s: f64,
     /// Whether half of the series, others in each pass, are taken as their mirror images, where the free wire lies in a plane.
     #[serde(default)]
@@ -97,7 +98,7 @@ impl TrainSettings {
 }
 
 /// One pass in the learning curve.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Pass {
     /// Number, from 1.
     pub epoch: usize,
@@ -105,7 +106,7 @@ pub struct Pass {
     pub loss: f64,
     /// On the held-out objects: loss, and RMSE of the true contact, mm.
     pub held_out_loss: f64,
-    /// See `held_out_loss`.
+    /// RMSE of the true contact there, mm.
     pub held_out_mm: f64,
     /// RMSE to the surface, mm, where the objects' meshes were given.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -1,13 +1,14 @@
 //! What a training takes: wall and processor time.
 
 use crate::train::settings::Pass;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::ops::Add;
 use std::time::Instant;
 use wcal_sim::dataset::process_s;
 
 /// Time of a piece of work.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct Seconds {
     /// By the clock, s.
     pub wall_s: f64,
@@ -24,7 +25,7 @@ impl Add for Seconds {
 }
 
 /// What a model took to make.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TrainingCost {
     /// The sweeps, where the same command made them: processor time of all shards, wall time of the run that made the last of them.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -50,9 +50,9 @@ fn charuco(stated: &Charuco) -> Vec<(String, Charuco)> {
         if size.rows % 2 == 1 {
             let legacy = !stated.legacy;
             let says = if legacy {
-                format!("the layout before OpenCV 4.6 (--legacy-charuco){more}")
+                format!("the layout before OpenCV 4.6 (--pattern charuco-legacy){more}")
             } else {
-                format!("the layout since OpenCV 4.6 (without --legacy-charuco){more}")
+                format!("the layout since OpenCV 4.6 (--pattern charuco){more}")
             };
             found.push((says, Charuco { size, legacy, ..stated.clone() }));
         }
@@ -109,7 +109,7 @@ fn tag_layouts(stated: &TagGrid) -> Vec<(String, TagGrid)> {
                 changes.push(format!("columns and rows exchanged (--board {size})"));
             }
             if order != stated.order {
-                changes.push(format!("tags numbered otherwise (--tag-order {name})"));
+                changes.push(format!("tags numbered otherwise (--pattern {name})"));
             }
             found.push((changes.join(" and "), with(size, order)));
         }

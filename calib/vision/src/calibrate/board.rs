@@ -41,17 +41,17 @@ pub struct TagOrder {
 
 impl TagOrder {
     const NAMES: [&str; 8] = [
-        "rows-from-lower-left",
-        "rows-from-upper-left",
-        "rows-from-lower-right",
-        "rows-from-upper-right",
-        "columns-from-lower-left",
-        "columns-from-upper-left",
-        "columns-from-lower-right",
-        "columns-from-upper-right",
+        "aprilgrid",
+        "aprilgrid-rows-from-upper-left",
+        "aprilgrid-rows-from-lower-right",
+        "aprilgrid-rows-from-upper-right",
+        "aprilgrid-columns-from-lower-left",
+        "aprilgrid-columns-from-upper-left",
+        "aprilgrid-columns-from-lower-right",
+        "aprilgrid-columns-from-upper-right",
     ];
 
-    /// All eight with their names, the default one first.
+    /// All eight with the names of their patterns, the default one first.
     pub fn all() -> impl Iterator<Item = (&'static str, Self)> {
         let order = |k: usize| Self { by_columns: k & 4 != 0, from_right: k & 2 != 0, from_top: k & 1 != 0 };
         Self::NAMES.into_iter().enumerate().map(move |(k, name)| (name, order(k)))

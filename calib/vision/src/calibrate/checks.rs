@@ -1,55 +1,10 @@
-//! Why a calibration is refused, why a view is left out, and what makes a result weak.
+//! Why a calibration is refused, and what makes a result weak.
 
 use crate::calibrate::bundle::{BoardView, BundleSolution, BundleState};
-use crate::calibrate::initial::{Corners, MonoEstimate, board_pose, both_rms, consensus, median};
+use crate::calibrate::initial::{Corners, MonoEstimate, consensus, median};
 use crate::camera::{Camera, PINHOLE_NAMES};
 use crate::error::VisionError;
 use nalgebra::{Isometry3, Vector2, Vector3};
-
-/// Explains a pair that contradicts the others by trying the usual mistakes.
-pub(crate) fn explain_view(
-    points: &[Vector3<f64>],
-    state: &BundleState,
-    views: &[BoardView],
-    view: usize,
-    rms_px: f64,
-    typical_px: f64,
-) -> String {
-    let this = &views[view];
-    let fits = |left: &Corners, right: &Corners| {
-        let trial = BoardView { name: String::new(), left: left.clone(), right: right.clone() };
-        both_rms(points, state, &trial) < 3.0 * typical_px
-    };
-    let others = || views.iter().enumerate().filter(|(w, _)| *w != view).map(|o| o.1);
-    let reversed = |c: &Corners| c.iter().rev().copied().collect::<Corners>();
-    let found = if fits(&this.right, &this.left) {
-        "the left and the right picture are swapped".to_string()
-    } else if fits(&this.left, &reversed(&this.right)) {
-        "the corners run in opposite order in the two pictures".to_string()
-    } else if let Some(other) = others().find(|o| fits(&this.left, &o.right)) {
-        format!("its right picture belongs to another pair; the right picture of {} fits", other.name)
-    } else if let Some(other) = others().find(|o| fits(&o.left, &this.right)) {
-        format!("its right picture belongs to another pair: it fits the left picture of {}", other.name)
-    } else {
-        match skew(points, state, this) {
-            Some((distance, angle_deg)) => format!(
-                "each picture shows the board, but not in one place: it moved by {distance:.3} board units and {angle_deg:.2} deg between left and right (pictures not taken together?)"
-            ),
-            None => "the corners fit no pose of the stated board".to_string(),
-        }
-    };
-    format!("RMS {rms_px:.2} px against {typical_px:.2} px of the typical view: {found}")
-}
-
-/// How far the board moved between the two pictures of a pair, board units and degrees.
-fn skew(points: &[Vector3<f64>], state: &BundleState, view: &BoardView) -> Option<(f64, f64)> {
-    let left = board_pose(&state.cameras[0], points, &view.left).ok()?;
-    let right = board_pose(&state.cameras[1], points, &view.right).ok()?;
-    let moved = left.inverse() * state.right_from_left.inverse() * right;
-    let centre = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-    let shift = moved * nalgebra::Point3::from(centre) - nalgebra::Point3::from(centre);
-    Some((shift.norm(), moved.rotation.angle().to_degrees()))
-}
 
 /// The error for pairs of which no majority agrees on one relative pose.
 pub(crate) fn explain_disagreement(

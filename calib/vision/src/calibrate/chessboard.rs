@@ -8,8 +8,8 @@ use crate::calibrate::homography::homography;
 use crate::error::{OpenCvContext, VisionError};
 use crate::picture::Picture;
 use nalgebra::Vector2;
-use opencv::core::{Point2f, Size, TermCriteria, TermCriteria_Type, Vector};
-use opencv::{calib3d, imgproc};
+use opencv::calib3d;
+use opencv::core::{Point2f, Size, Vector};
 use rayon::prelude::*;
 
 /// Inner corners of a board: columns and rows.
@@ -35,25 +35,10 @@ impl std::fmt::Display for BoardSize {
     }
 }
 
-/// How corners are refined.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Refinement {
-    /// [`fit_corner`] with a window of this fraction of the distance to the nearest neighbour.
-    Model(f64),
-    /// OpenCV's `cornerSubPix` with this half window, px.
-    Gradient(i32),
-}
-
-impl std::fmt::Display for Refinement {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Model(fraction) => {
-                write!(f, "edge model, radius {fraction:.2} of the corner distance")
-            }
-            Self::Gradient(half) => write!(f, "gradient, half window {half} px"),
-        }
-    }
-}
+/// Window of a corner's refinement, as a share of the distance to its nearest neighbour.
+const WINDOW: f64 = 0.5;
+/// Smallest radius of that window, px.
+const MIN_WINDOW_PX: f64 = 3.0;
 
 /// Which of OpenCV's finders.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -118,11 +103,9 @@ fn normalise_order(picture: &Picture, board: BoardSize, mut points: Vec<Vector2<
         if sum > 0.0 {
             points.reverse();
         }
-    } else {
+    } else if (points[0].y, points[0].x) > (points[c * r - 1].y, points[c * r - 1].x) {
         // Ambiguous by 180 degrees: the end nearer to the top comes first, for both cameras alike.
-        if (points[0].y, points[0].x) > (points[c * r - 1].y, points[c * r - 1].x) {
-            points.reverse();
-        }
+        points.reverse();
     }
     points
 }
@@ -145,46 +128,16 @@ fn neighbourhood(board: BoardSize, points: &[Vector2<f64>], k: usize) -> (f64, [
     (nearest, sides)
 }
 
-/// Refined corners; a corner that cannot be refined is none.
-///
-/// # Errors
-/// Where OpenCV fails.
-pub fn refine(
-    picture: &Picture,
-    board: BoardSize,
-    coarse: &[Vector2<f64>],
-    how: Refinement,
-) -> Result<Vec<Option<Corner>>, VisionError> {
-    match how {
-        Refinement::Model(fraction) => Ok((0..coarse.len())
-            .into_par_iter()
-            .map(|k| {
-                let (distance, sides) = neighbourhood(board, coarse, k);
-                let radius = (fraction * distance).max(3.0);
-                fit_corner(picture, &coarse[k], sides, radius)
-            })
-            .collect()),
-        Refinement::Gradient(half) => {
-            let mat = picture.to_mat()?;
-            let mut corners: Vector<Point2f> =
-                coarse.iter().map(|p| Point2f::new(p.x as f32, p.y as f32)).collect();
-            let until =
-                TermCriteria::new(TermCriteria_Type::EPS as i32 + TermCriteria_Type::COUNT as i32, 60, 1e-4)
-                    .doing("TermCriteria")?;
-            imgproc::corner_sub_pix(&mat, &mut corners, Size::new(half, half), Size::new(-1, -1), until)
-                .doing("cornerSubPix")?;
-            Ok(corners
-                .iter()
-                .map(|p| {
-                    Some(Corner {
-                        position_px: Vector2::new(f64::from(p.x), f64::from(p.y)),
-                        sd_px: f64::NAN,
-                        blur_px: f64::NAN,
-                    })
-                })
-                .collect())
-        }
-    }
+/// Refined corners ([`fit_corner`]); a corner that cannot be refined is none.
+#[must_use]
+pub fn refine(picture: &Picture, board: BoardSize, coarse: &[Vector2<f64>]) -> Vec<Option<Corner>> {
+    (0..coarse.len())
+        .into_par_iter()
+        .map(|k| {
+            let (distance, sides) = neighbourhood(board, coarse, k);
+            fit_corner(picture, &coarse[k], sides, (WINDOW * distance).max(MIN_WINDOW_PX))
+        })
+        .collect()
 }
 
 /// Whether the pattern continues beyond the corners found: then the board is larger than stated. Names the side.

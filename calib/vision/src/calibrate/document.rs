@@ -6,6 +6,7 @@ use crate::error::VisionError;
 use crate::rigid::pose_from_rows;
 use crate::stereo::StereoCameras;
 use nalgebra::DMatrix;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use wcal_core::document::from_json;
@@ -29,23 +30,24 @@ const RANGES: &[Range] = &[
 ];
 
 /// Lens distortion.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct DistortionDocument {
     /// Model of the lens: `opencv5` or `fisheye`.
+    #[schemars(extend("enum" = ["opencv5", "fisheye"]))]
     pub model: String,
     /// `opencv5`: k1, k2, p1, p2, k3; `fisheye`: k1, k2, k3, k4.
     pub coefficients: Vec<f64>,
 }
 
 /// One camera.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CameraDocument {
     /// `left` or `right`.
     pub name: String,
     /// Camera matrix, px.
     #[serde(rename = "K")]
     pub k: [[f64; 3]; 3],
-    /// Distortion.
+    /// Lens distortion.
     pub distortion: DistortionDocument,
     /// Standard deviation of fx, fy, cx, cy (px) and of the coefficients by their names.
     #[serde(default)]
@@ -53,17 +55,17 @@ pub struct CameraDocument {
 }
 
 /// A view that was left out.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct RejectedView {
     /// Name of the left picture (or of the right where only that exists).
     pub view: String,
-    /// Reason.
+    /// In words.
     pub why: String,
 }
 
 /// Epipolar distances of corners in views that were left out of the solve, one pair at a time.
 /// The distance of a corner is the mean of its distances to the two epipolar lines, in the undistorted pictures.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct HeldOut {
     /// Mean, px.
     pub epipolar_mean_px: f64,
@@ -75,9 +77,10 @@ pub struct HeldOut {
 }
 
 /// The board.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct BoardDocument {
     /// `chessboard`, `charuco` or `aprilgrid`.
+    #[schemars(extend("enum" = ["chessboard", "charuco", "aprilgrid"]))]
     pub pattern: String,
     /// Inner corners a row.
     pub columns: usize,
@@ -91,23 +94,25 @@ pub struct BoardDocument {
     pub warp_sd_mm: [f64; 2],
 }
 
-/// `stereo.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// Two calibrated cameras.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StereoDocument {
-    /// Always [`STEREO_FORMAT`].
+    /// Format and version.
+    #[schemars(extend("const" = STEREO_FORMAT))]
     pub format: String,
     /// Columns and rows, px.
     pub image_size_px: [usize; 2],
     /// Left, right.
     pub cameras: Vec<CameraDocument>,
-    /// Takes left coordinates to right ones, mm.
+    /// 4 x 4, mm: takes left coordinates to right ones.
     pub right_from_left: [[f64; 4]; 4],
     /// Standard deviations: rotation (rad, about the right camera's axes), translation (mm).
     #[serde(default)]
     pub right_from_left_sd: Vec<f64>,
     /// Per-corner RMS over both cameras, px.
     pub rms_px: f64,
-    /// The corners' own noise, per-corner RMS that no regular grid seen by a smooth lens explains, px; none where too few corners tell.
+    /// The corners' own noise: per-corner RMS about a smooth picture of a regular grid, whatever the board's sizes, px; absent where too few
+    /// corners tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub corner_noise_px: Option<f64>,
     /// Per-corner RMS of every view used, left and right, px.
@@ -117,17 +122,11 @@ pub struct StereoDocument {
     pub views: Vec<String>,
     /// Views left out.
     pub rejected_views: Vec<RejectedView>,
-    /// Held-out error.
+    /// Epipolar distances of corners in pairs left out of the solve one at a time.
     pub held_out: HeldOut,
-    /// Board.
+    /// The board.
     #[serde(default)]
     pub board: BoardDocument,
-    /// Method of corner refinement, and the RMS of each method tried, px.
-    #[serde(default)]
-    pub refinement: BTreeMap<String, f64>,
-    /// Way that was chosen.
-    #[serde(default)]
-    pub refinement_chosen: String,
     /// Sd of the projection of a point at the board's mean depth over a 3x3 grid of the picture (rows from the top), left and right, px.
     #[serde(default)]
     pub projection_sd_px: Vec<Vec<f64>>,

@@ -1,26 +1,20 @@
-//! `stereo-calibrate` from two folders: pictures, corners, the method of refinement chosen from the data, the solve, the document.
+//! `stereo-calibrate` from two folders: pictures, corners, the solve, the document.
 
 use crate::calibrate::alternatives::{Alternative, alternatives};
 use crate::calibrate::board::{Board, Pattern, board_points};
-use crate::calibrate::bundle::BoardView;
 use crate::calibrate::document::{
     BoardDocument, RejectedView, STEREO_FORMAT, StereoDocument, camera_document,
 };
-use crate::calibrate::half_turn::half_turned;
 use crate::calibrate::markers::{MarkerBoard, grid_places};
 use crate::calibrate::noise::CornerNoise;
-use crate::calibrate::refinement::{View, choose_refinement};
 use crate::calibrate::solution::{StereoSolution, leave_one_out};
-use crate::calibrate::statements::{BoardStatement, Optics, Others, calibrate_as_stated};
-use crate::calibrate::views::{
-    MarkerPairs, check_board, marker_pairs, usable, whole_board, with_guess, with_rejections,
-};
+use crate::calibrate::statements::{BoardStatement, Others, calibrate_as_stated};
+use crate::calibrate::views::{MarkerPairs, marker_pairs, usable, whole_board, with_rejections};
 use crate::camera::lens::Lens;
 use crate::error::VisionError;
 use crate::pairs::{PairFiles, list_pictures, pair_files};
 use crate::rigid::rows;
 use nalgebra::{Vector2, Vector3};
-use std::collections::BTreeMap;
 
 /// Calibrates cameras with lenses of one model from two folders or patterns. `progress` is called with each step.
 ///
@@ -36,19 +30,36 @@ pub fn calibrate_folders(
     let files = pair_files(&list_pictures(left)?, &list_pictures(right)?)?;
     progress(&format!("{} pairs", files.len()));
     let mut found = match MarkerBoard::new(board)? {
-        None => chessboard(&files, board, lens, progress)?,
-        Some(markers) => marker_board(&files, board, &markers)?,
+        None => chessboard(&files, board)?,
+        Some(markers) => marker_board(&files, &markers)?,
     };
     let solving = found.stated.views.as_ref().map_or(0, Vec::len);
     progress(&format!("{solving} pairs show the board; solving"));
     let points = found.stated.points.clone();
-    let (mut solution, noise) = calibrate_as_stated(found.stated, (found.image_size, lens), &*found.others)
-        .map_err(|e| with_rejections(e, &found.rejected))?;
+    let (mut solution, noise) =
+        calibrate_as_stated(found.stated, (found.image_size, lens), &*found.others)
+            .map_err(|e| with_rejections(alike_after_half_a_turn(e, board), &found.rejected))?;
     solution.warnings.append(&mut found.remarks);
-    let mut document = document(board, found.image_size, &points, &solution, found.refinement, found.chosen);
+    let mut document = document(board, found.image_size, &points, &solution);
     document.corner_noise_px = noise.rms_px.is_finite().then_some(noise.rms_px);
     document.rejected_views.splice(0..0, found.rejected);
     Ok((document, solution))
+}
+
+/// Adds to a refusal what a board that looks the same upside down may have to do with it.
+fn alike_after_half_a_turn(error: VisionError, board: &Board) -> VisionError {
+    match error {
+        VisionError::Result { action, expected, found }
+            if board.pattern == Pattern::Chessboard && !board.size.orientation_is_unique() =>
+        {
+            let found = format!(
+                "{found}; a board of {} looks alike after half a turn: take one whose numbers of inner corners are odd and even",
+                board.size
+            );
+            VisionError::Result { action, expected, found }
+        }
+        other => other,
+    }
 }
 
 /// What the pictures show of the stated board, and how to ask for another one.
@@ -57,59 +68,28 @@ struct BoardSearch<'a> {
     image_size: [usize; 2],
     rejected: Vec<RejectedView>,
     remarks: Vec<String>,
-    refinement: BTreeMap<String, f64>,
-    chosen: String,
     others: Box<Others<'a>>,
 }
 
-fn chessboard<'a>(
-    files: &'a [PairFiles],
-    board: &'a Board,
-    lens: &'static dyn Lens,
-    progress: &(dyn Fn(&str) + Sync),
-) -> Result<BoardSearch<'a>, VisionError> {
-    check_board(files, board)?;
-    let (mut rejected, mut remarks) = (Vec::new(), Vec::new());
-    let (mut views, image_size) = usable(files, &mut rejected, &|p, i| whole_board(p, board.size, i))?;
-    let points = board_points(board.size.columns, board.size.rows, board.square_mm);
-    if !board.size.orientation_is_unique() {
-        remarks.extend(in_one_order(&points, &mut views, (image_size, lens)));
-    }
-    let (refined, refinement, chosen) =
-        choose_refinement(&points, board.size, &views, (image_size, lens), progress)?;
-    let stated =
-        BoardStatement { says: String::new(), points, places: grid_places(board.size), views: Ok(refined) };
+fn chessboard<'a>(files: &'a [PairFiles], board: &'a Board) -> Result<BoardSearch<'a>, VisionError> {
+    let mut rejected = Vec::new();
+    let (views, image_size) = usable(files, &mut rejected, &|p, i| whole_board(p, board.size, i))?;
     // A plain chessboard has its squares and nothing else to be wrong, but the print.
     Ok(BoardSearch {
-        stated,
+        stated: BoardStatement {
+            says: String::new(),
+            points: board_points(board.size.columns, board.size.rows, board.square_mm),
+            places: grid_places(board.size),
+            views: Ok(views.iter().map(|v| v.refined(board.size)).collect()),
+        },
         image_size,
         rejected,
-        remarks,
-        refinement,
-        chosen,
+        remarks: Vec::new(),
         others: Box::new(|_| Vec::new()),
     })
 }
 
-/// Reads the right corners of a board that looks alike after half a turn from the end at which the left ones begin.
-fn in_one_order(points: &[Vector3<f64>], views: &mut [View], optics: Optics) -> Option<String> {
-    let coarse: Vec<BoardView> = views.iter().map(View::coarse_corners).collect();
-    let turned = half_turned(points, &coarse, optics)?;
-    for (view, _) in views.iter_mut().zip(&turned).filter(|(_, turned)| **turned) {
-        view.coarse[1].reverse();
-    }
-    let count = turned.iter().filter(|t| **t).count();
-    Some(format!(
-        "this board looks alike after half a turn: in {count} of {} pairs the right corners were taken from the other end, where the pairs agree",
-        turned.len()
-    ))
-}
-
-fn marker_board<'a>(
-    files: &'a [PairFiles],
-    board: &Board,
-    markers: &MarkerBoard,
-) -> Result<BoardSearch<'a>, VisionError> {
+fn marker_board<'a>(files: &'a [PairFiles], markers: &MarkerBoard) -> Result<BoardSearch<'a>, VisionError> {
     let MarkerPairs { size, views, rejected, mut remarks, marker_share } = marker_pairs(files, markers);
     remarks.extend(markers.contradicts(marker_share));
     let Some(image_size) = size else {
@@ -118,7 +98,6 @@ fn marker_board<'a>(
             |e| with_rejections(e, &rejected),
         ));
     };
-    let views = views.map_err(|e| with_guess(e, files, board));
     let (own, seen) = (markers.clone(), views.as_ref().ok().cloned());
     let others = move |noise: &CornerNoise| {
         let statement = |other: Alternative| {
@@ -144,8 +123,6 @@ fn marker_board<'a>(
         image_size,
         rejected,
         remarks,
-        refinement: BTreeMap::new(),
-        chosen: "markers".to_string(),
         others: Box::new(others),
     })
 }
@@ -155,8 +132,6 @@ fn document(
     image_size_px: [usize; 2],
     points: &[Vector3<f64>],
     solution: &StereoSolution,
-    refinement: BTreeMap<String, f64>,
-    refinement_chosen: String,
 ) -> StereoDocument {
     let (state, covariance) = (&solution.bundle.state, &solution.bundle.shared_covariance);
     let sd = |k: usize| covariance[(k, k)].max(0.0).sqrt();
@@ -192,8 +167,6 @@ fn document(
             warp_mm: state.warp,
             warp_sd_mm: if solution.warp_used { [sd(warp), sd(warp + 1)] } else { [0.0; 2] },
         },
-        refinement,
-        refinement_chosen,
         projection_sd_px: projection_sd(points, solution),
         covariance: (0..warp).map(|i| (0..warp).map(|j| covariance[(i, j)]).collect()).collect(),
         warnings: solution.warnings.clone(),

@@ -96,8 +96,6 @@ pub fn imported(
         rejected_views: Vec::new(),
         held_out: HeldOut::default(),
         board: BoardDocument::default(),
-        refinement: std::collections::BTreeMap::new(),
-        refinement_chosen: String::new(),
         projection_sd_px: Vec::new(),
         covariance: Vec::new(),
         warnings: vec![format!("imported from {name}: no residuals, no uncertainty")],

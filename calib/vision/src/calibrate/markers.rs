@@ -225,12 +225,6 @@ fn detect(mat: &Mat, dictionary: &Ptr<Dictionary>) -> Result<Detected, VisionErr
     Ok((corners, ids))
 }
 
-/// Numbers of the markers of one of OpenCV's dictionaries in a picture.
-pub(crate) fn marker_ids(picture: &Picture, dictionary: i32) -> Result<Vec<i32>, VisionError> {
-    let dictionary = get_predefined_dictionary_i32(dictionary).doing("getPredefinedDictionary")?;
-    Ok(detect(&picture.to_mat()?, &dictionary)?.1.iter().collect())
-}
-
 impl Charuco {
     fn corners(&self, picture: &Picture) -> Result<MarkerView, VisionError> {
         let BoardSize { columns: c, rows: r } = self.size;

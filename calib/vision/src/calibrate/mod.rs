@@ -1,7 +1,7 @@
 //! Two cameras from pairs of pictures of a board, and the files in which they are kept and exchanged.
 //!
-//! In the order of the work: corners ([`chessboard`], [`corner`], [`refinement`], or [`markers`]), one camera alone (`initial`), both
-//! together ([`bundle`], [`solution`]), what may be wrong (`checks`, [`reference`]), the document ([`document`], [`export`], [`import`]).
+//! In the order of the work: corners ([`chessboard`], [`corner`], or [`markers`]), one camera alone (`initial`), both together ([`bundle`],
+//! [`solution`]), what may be wrong (`checks`, `statements`), the document ([`document`], [`export`], [`import`]).
 
 mod alternatives;
 pub mod board;
@@ -12,15 +12,11 @@ pub mod corner;
 pub mod document;
 pub mod export;
 pub mod folders;
-mod guess;
-mod half_turn;
 mod homography;
 pub mod import;
 pub(crate) mod initial;
 pub mod markers;
 mod noise;
-pub mod reference;
-mod refinement;
 pub mod solution;
 mod statements;
 mod views;

@@ -98,7 +98,10 @@ pub fn calibrate_stereo(
         .filter(|v| !used.contains(v))
         .map(|v| RejectedView {
             view: views[v].name.clone(),
-            why: checks::explain_view(points, &state, &views, v, last[v], typical),
+            why: format!(
+                "RMS {:.2} px against {typical:.2} px of the typical view: the corners fit no pose that both cameras share (pictures swapped, of another pair or not taken together, or a board that looks alike after half a turn?)",
+                last[v]
+            ),
         })
         .collect();
     let mut kept: Vec<BoardView> = used.iter().map(|&v| views[v].clone()).collect();

@@ -1,20 +1,16 @@
 //! Pairs of pictures of a board: read, judged, and their corners found.
 
-use crate::calibrate::board::Board;
 use crate::calibrate::bundle::BoardView;
-use crate::calibrate::chessboard::{BoardSize, Finder, continues_beyond, find_chessboard};
+use crate::calibrate::chessboard::{BoardSize, Finder, continues_beyond, find_chessboard, refine};
 use crate::calibrate::document::RejectedView;
-use crate::calibrate::guess::other_pattern;
 use crate::calibrate::initial::median;
 use crate::calibrate::markers::{self, MarkerBoard};
-use crate::calibrate::refinement::View;
 use crate::error::VisionError;
 use crate::pairs::PairFiles;
 use crate::picture::Picture;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 /// Adds to a refusal the reasons why views were missing.
 pub(crate) fn with_rejections(error: VisionError, rejected: &[RejectedView]) -> VisionError {
@@ -68,10 +64,24 @@ fn common_size(sizes: impl Iterator<Item = [usize; 2]>) -> Option<[usize; 2]> {
     counts.into_iter().max_by_key(|c| c.1).map(|c| c.0)
 }
 
-/// Width to which pictures are reduced where only the board's size is in question, px.
-const PROBE_PX: usize = 800;
-/// The same for the finder that takes seconds where there is no board, and the fourth of it at half the width.
-const SECTORS_PROBE_PX: usize = 400;
+/// A pair of pictures that can be used.
+pub(crate) struct View {
+    pub name: String,
+    pub pictures: [Picture; 2],
+    /// Corners as the finder gave them.
+    pub coarse: [Vec<Vector2<f64>>; 2],
+}
+
+impl View {
+    /// With refined corners.
+    pub fn refined(&self, size: BoardSize) -> BoardView {
+        let [left, right] = [0, 1].map(|k| {
+            let corners = refine(&self.pictures[k], size, &self.coarse[k]);
+            corners.into_iter().map(|c| c.map(|c| c.position_px)).collect()
+        });
+        BoardView { name: self.name.clone(), left, right }
+    }
+}
 
 /// Coarse corners of one side's picture, or why it is of no use.
 type CornerReader<'a> = dyn Fn(&Picture, &str) -> Result<Vec<Vector2<f64>>, String> + Sync + 'a;
@@ -154,90 +164,6 @@ pub(crate) fn whole_board(
     }
 }
 
-/// Left pictures, spread over the folder, that are examined before the stated size is doubted.
-const PROBES: usize = 3;
-
-/// Refuses a board that no probe shows where something else is seen in its place, or nothing in any picture: the finders take minutes to
-/// fail on a whole folder. A board that is cut off in one picture appears smaller than it is, so that another size has to be seen in all probes.
-pub(crate) fn check_board(files: &[PairFiles], board: &Board) -> Result<(), VisionError> {
-    let size = board.size;
-    let read = |path: &PathBuf| Some(Picture::read(path).ok()?.reduced(PROBE_PX));
-    let reduced = probes(files, PROBE_PX);
-    let shows = |picture: &Picture, size: BoardSize| -> Result<bool, VisionError> {
-        let found = find_chessboard(picture, size, Finder::Classic)?;
-        Ok(found.is_some_and(|points| continues_beyond(picture, size, &points).is_none()))
-    };
-    let all_show = |size: BoardSize| -> Result<bool, VisionError> {
-        for picture in &reduced {
-            if !shows(picture, size)? {
-                return Ok(false);
-            }
-        }
-        Ok(!reduced.is_empty())
-    };
-    let stated = |finder: Finder, width_px: usize| {
-        let found = |picture: &Picture| {
-            find_chessboard(&picture.reduced(width_px), size, finder).is_ok_and(|f| f.is_some())
-        };
-        reduced.par_iter().any(found)
-    };
-    if stated(Finder::Classic, PROBE_PX) {
-        return Ok(());
-    }
-    let refused =
-        |found: String| Err(VisionError::result("find the board", format!("{size} inner corners"), found));
-    let other = other_pattern(&reduced, board);
-    let (c, r) = (size.columns as i64, size.rows as i64);
-    let others = [
-        (c - 1, r),
-        (c, r - 1),
-        (c - 1, r - 1),
-        (c + 1, r),
-        (c, r + 1),
-        (c + 1, r + 1),
-        (c - 2, r),
-        (c, r - 2),
-    ];
-    if other.is_none() {
-        for (columns, rows) in others.into_iter().filter(|(c, r)| c.min(r) >= &3) {
-            let other = BoardSize { columns: columns as usize, rows: rows as usize };
-            if all_show(other)? {
-                return refused(format!(
-                    "a whole board of {other} in {} pictures: wrong board size?",
-                    reduced.len()
-                ));
-            }
-        }
-    }
-    if stated(Finder::Sectors, SECTORS_PROBE_PX) {
-        return Ok(());
-    }
-    if let Some(seen) = other {
-        return refused(format!("{seen} in their place"));
-    }
-    // A picture that cannot be read may show it: its own reason is said later.
-    let perhaps = |file: &PairFiles| {
-        let picture = file.left.as_ref().and_then(read);
-        picture.is_none_or(|p| find_chessboard(&p, size, Finder::Classic).is_ok_and(|f| f.is_some()))
-    };
-    // Small squares of a large board are lost in reduced pictures: the probes once more as they are.
-    let whole =
-        |picture: &Picture| find_chessboard(picture, size, Finder::Sectors).is_ok_and(|f| f.is_some());
-    if files.par_iter().any(perhaps) || probes(files, usize::MAX).par_iter().any(whole) {
-        return Ok(());
-    }
-    refused(format!("none in {} pictures, and none of another pattern that is known", files.len()))
-}
-
-/// Some left pictures, reduced to a width.
-fn probes(files: &[PairFiles], width_px: usize) -> Vec<Picture> {
-    let count = PROBES.min(files.len());
-    (0..count)
-        .filter_map(|k| files[k * files.len() / count].left.as_ref())
-        .filter_map(|path| Some(Picture::read(path).ok()?.reduced(width_px)))
-        .collect()
-}
-
 /// What the pairs of a folder show of a board with markers.
 pub(crate) struct MarkerPairs {
     /// Size that most pictures have, px.
@@ -302,14 +228,4 @@ pub(crate) fn marker_pairs(files: &[PairFiles], board: &MarkerBoard) -> MarkerPa
     };
     let remarks = remarks.into_iter().map(|(remark, n)| format!("{remark} (in {n} pictures)")).collect();
     MarkerPairs { size, views, rejected, remarks, marker_share: median(&shares) }
-}
-
-/// Adds to a refusal what the pictures show in place of the stated board.
-pub(crate) fn with_guess(error: VisionError, files: &[PairFiles], board: &Board) -> VisionError {
-    match (error, other_pattern(&probes(files, PROBE_PX), board)) {
-        (VisionError::Result { action, expected, found }, Some(seen)) => {
-            VisionError::Result { action, expected, found: format!("{found}; the pictures show {seen}") }
-        }
-        (error, _) => error,
-    }
 }

@@ -11,13 +11,11 @@ use crate::shape::other_pose::pairs_of_other_poses;
 use crate::shape::pair_errors::{SharedErrors, VertexErrors, pair_errors};
 use crate::shape::pair_fit::{PairFit, ROOT_FREE, Scene, fit_pair};
 use crate::shape::shared_errors::{camera_errors, shared_errors};
-use crate::stages::{Stage, StageClock};
 use crate::stereo::StereoCameras;
 use crate::tags::base_pose::{
     FolderBase, PairTags, base_observations, folder_base, observations_of, rig_poses,
 };
 use crate::tags::detection::{Search, Tag, find_tags};
-use crate::tags::once::each_once;
 use crate::tags::pose::{self as tag_pose, TAG_MISFIT_PX};
 use crate::tags::size::{TagSizes, tag_sizes};
 use nalgebra::{Point3, Vector6};
@@ -34,13 +32,10 @@ const NEAR_ROOT_MM: f64 = 6.0;
 /// Largest surface strain at the clamp: beyond it NiTi leaves its elastic range, which no bench does.
 const MAX_STRAIN: f64 = 0.015;
 
-/// Rounds in which pairs that mix two poses are left out: each makes what the others have in common clearer.
-const ROUNDS: usize = 3;
-
 /// Side of a tag that a search at half size cannot miss, px.
 const LARGE_TAG_PX: f64 = 48.0;
 
-/// A pair: the pictures to search for the wire (background subtracted where there is one), and tags.
+/// A pair: the pictures to search for the wire, and tags.
 struct PairInput {
     name: String,
     pictures: [Picture; 2],
@@ -56,45 +51,35 @@ pub struct ShapesResult {
     pub fits: Vec<Option<PairFit>>,
     /// Cameras used.
     pub stereo: StereoCameras,
-    /// Processor time by stage.
-    pub times: StageClock,
 }
 
-/// Runs all pairs. `background`: the scene of both cameras without the wire; lines in it are no wire. `progress` is called with each pair's
-/// name when it is done.
+/// Runs all pairs. `progress` is called with each pair's name when it is done.
 #[must_use]
 pub fn shapes_of_pairs(
     stereo: &StereoCameras,
     rig: &Rig,
     files: &[PairFiles],
-    background: Option<&[Picture; 2]>,
     progress: &(dyn Fn(&str) + Sync),
 ) -> ShapesResult {
-    let times = StageClock::default();
-    let load = |f| load(stereo, rig, f, background, &times);
-    let mut loaded: Vec<Result<PairInput, String>> = files.par_iter().map(load).collect();
-    let TagSizes { rig: as_seen, mut warnings, elsewhere } =
-        times.time(Stage::Tags, || tag_sizes(stereo, rig, &tags_of(&loaded)));
+    let mut loaded: Vec<Result<PairInput, String>> = files.par_iter().map(|f| load(stereo, rig, f)).collect();
+    let TagSizes { rig: as_seen, mut warnings, elsewhere } = tag_sizes(stereo, rig, &tags_of(&loaded));
     warnings.splice(0..0, rig.remarks.clone());
     for (pair, why) in loaded.iter_mut().zip(elsewhere) {
         if let Some(why) = why {
             *pair = Err(why);
         }
     }
-    let (mut document, mut fits) = shapes_of_loaded(stereo, &as_seen, files, &loaded, &times, progress);
+    let (mut document, mut fits) = shapes_of_loaded(stereo, &as_seen, files, &loaded, progress);
     // What the pairs have in common is found again without those that mix two poses.
-    for _ in 0..ROUNDS {
-        let other_poses = pairs_of_other_poses(&document.pairs);
-        if other_poses.is_empty() {
-            break;
-        }
+    let other_poses = pairs_of_other_poses(&document.pairs);
+    if !other_poses.is_empty() {
         for (k, why) in other_poses {
             loaded[k] = Err(why);
         }
-        (document, fits) = shapes_of_loaded(stereo, &as_seen, files, &loaded, &times, &|_| {});
+        (document, fits) = shapes_of_loaded(stereo, &as_seen, files, &loaded, &|_| {});
     }
     document.warnings.splice(0..0, warnings);
-    ShapesResult { document, fits, stereo: stereo.clone(), times }
+    ShapesResult { document, fits, stereo: stereo.clone() }
 }
 
 fn tags_of(loaded: &[Result<PairInput, String>]) -> Vec<PairTags> {
@@ -114,7 +99,6 @@ fn fit_pairs(
     rig: &Rig,
     loaded: &[Result<PairInput, String>],
     base: Option<&FolderBase>,
-    times: &StageClock,
     progress: &(dyn Fn(&str) + Sync),
 ) -> FittedPairs {
     let mut warnings = Vec::new();
@@ -129,7 +113,7 @@ fn fit_pairs(
                     Some(Ok(fit)) => Some(fit),
                     Some(Err(why)) => return Err(why.clone()),
                 };
-                let fit = fit_one(stereo, rig, l, base, k, Attempt { root_sd, start }, times);
+                let fit = fit_one(stereo, rig, l, base, k, Attempt { root_sd, start });
                 // Once a pair, also where it is fitted again.
                 if start.is_none() && root_sd == ROOT_CLAMPED {
                     progress(&l.name);
@@ -160,14 +144,12 @@ fn fit_pairs(
         joint = base.map(|b| Joint::new(b, &fits, root_sd));
     }
     if let (Some(j), Some(b)) = (&joint, base) {
-        times.time_alone(Stage::Joint, || {
-            fits.par_iter_mut().enumerate().for_each(|(k, fit)| {
-                if let Ok(fit) = fit
-                    && !b.moved.contains(&k)
-                {
-                    j.apply(stereo, fit, root_sd);
-                }
-            })
+        fits.par_iter_mut().enumerate().for_each(|(k, fit)| {
+            if let Ok(fit) = fit
+                && !b.moved.contains(&k)
+            {
+                j.apply(stereo, fit, root_sd);
+            }
         });
     }
     FittedPairs { fits, root_sd, warnings }
@@ -179,20 +161,17 @@ fn shapes_of_loaded(
     rig: &Rig,
     files: &[PairFiles],
     loaded: &[Result<PairInput, String>],
-    times: &StageClock,
     progress: &(dyn Fn(&str) + Sync),
 ) -> (ShapesDocument, Vec<Option<PairFit>>) {
     let tags = tags_of(loaded);
-    let base = times.time(Stage::Joint, || folder_base(stereo, rig, &tags));
-    let FittedPairs { fits, root_sd, mut warnings } =
-        fit_pairs(stereo, rig, loaded, base.as_ref(), times, progress);
-    let uncertain = base.as_ref().map_or_else(
-        || files.iter().map(|_| None).collect(),
-        |b| times.time_alone(Stage::Joint, || uncertainties(stereo, b, &fits, root_sd)),
-    );
-    let errors = times.time_alone(Stage::Joint, || camera_errors(stereo, &fits, &uncertain));
-    let rigs = times.time(Stage::Joint, || rig_poses(stereo, rig, &tags));
-    let shared = times.time_alone(Stage::Joint, || SharedErrors::new(stereo, &uncertain, &rigs));
+    let base = folder_base(stereo, rig, &tags);
+    let FittedPairs { fits, root_sd, mut warnings } = fit_pairs(stereo, rig, loaded, base.as_ref(), progress);
+    let uncertain = base
+        .as_ref()
+        .map_or_else(|| files.iter().map(|_| None).collect(), |b| uncertainties(stereo, b, &fits, root_sd));
+    let errors = camera_errors(stereo, &fits, &uncertain);
+    let rigs = rig_poses(stereo, rig, &tags);
+    let shared = SharedErrors::new(stereo, &uncertain, &rigs);
     if rigs.poses.iter().flatten().count() > 1 && rigs.shared_turn.is_none() {
         warnings
             .push("the rig tag turns between pairs; its orientation is taken from each pair alone".into());
@@ -231,9 +210,7 @@ fn shapes_of_loaded(
         document.errors = Some(found.document);
         document
     };
-    let pairs = times.time_alone(Stage::Joint, || {
-        (0..files.len()).into_par_iter().map(describe_pair).collect::<Vec<PairDocument>>()
-    });
+    let pairs: Vec<PairDocument> = (0..files.len()).into_par_iter().map(describe_pair).collect();
     let covariance = &shared.covariance;
     let shared_covariance =
         (0..covariance.nrows()).map(|i| covariance.row(i).iter().copied().collect()).collect();
@@ -265,13 +242,7 @@ fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
     2 * votes.iter().filter(|v| **v).count() > votes.len()
 }
 
-fn load(
-    stereo: &StereoCameras,
-    rig: &Rig,
-    files: &PairFiles,
-    background: Option<&[Picture; 2]>,
-    times: &StageClock,
-) -> Result<PairInput, String> {
+fn load(stereo: &StereoCameras, rig: &Rig, files: &PairFiles) -> Result<PairInput, String> {
     if let Some(why) = &files.refused {
         return Err(why.clone());
     }
@@ -282,7 +253,7 @@ fn load(
         ));
     };
     let read = |path: &std::path::PathBuf, camera: usize| {
-        let picture = times.time(Stage::Reading, || Picture::read(path)).map_err(|e| e.to_string())?;
+        let picture = Picture::read(path).map_err(|e| e.to_string())?;
         let expected = stereo.cameras[camera].image_size_px;
         if [picture.width, picture.height] != expected {
             return Err(format!(
@@ -308,9 +279,7 @@ fn load(
     for (camera, picture) in pictures.iter().enumerate() {
         for family in &families {
             let search = |search| {
-                let found = times
-                    .time(Stage::Tags, || find_tags(picture, family, Some(&stereo.cameras[camera]), search));
-                found.map_err(|e| e.to_string())
+                find_tags(picture, family, Some(&stereo.cameras[camera]), search).map_err(|e| e.to_string())
             };
             let mut found = search(Search::StrongContrast)?;
             for wider in [Search::Halved, Search::Whole] {
@@ -326,11 +295,7 @@ fn load(
             tags.extend(found.into_iter().map(|t| (camera, t)));
         }
     }
-    let pictures = match background {
-        Some(empty) => std::array::from_fn(|k| pictures[k].less(&empty[k])),
-        None => pictures,
-    };
-    let (tags, remarks) = each_once(stereo, rig, tags);
+    let (tags, remarks) = each_once(tags);
     Ok(PairInput { name: files.name.clone(), pictures, tags, remarks })
 }
 
@@ -347,7 +312,6 @@ fn fit_one(
     base: Option<&FolderBase>,
     index: usize,
     Attempt { root_sd, start }: Attempt<'_>,
-    times: &StageClock,
 ) -> Result<PairFit, String> {
     let own = base_observations(rig, &loaded.tags);
     let base = base.ok_or_else(|| missing_tag(rig, loaded))?;
@@ -362,7 +326,9 @@ fn fit_one(
     };
     let off_px = tag_pose::residual_rms_px(stereo, &own, &pose.left_from_body);
     if off_px > TAG_MISFIT_PX {
-        return Err(exchanged_or_foreign(base, &own, off_px));
+        return Err(format!(
+            "the base tag's corners lie {off_px:.1} px from any pose that both cameras share: left and right swapped, pictures not taken together, cameras moved since they were calibrated, or another tag size"
+        ));
     }
     let mut vertex_mm = None;
     for tag in rig.tags.iter().filter(|t| t.base_from_tag.is_none()) {
@@ -389,23 +355,29 @@ fn fit_one(
         vertex_mm,
         prior: &prior,
     };
-    fit_pair(&scene, start, times)
+    fit_pair(&scene, start)
 }
 
-/// Why the base tag's corners fit no pose.
-fn exchanged_or_foreign(base: &FolderBase, own: &[tag_pose::TagObservation], off_px: f64) -> String {
-    let as_in_the_other_camera = own.iter().all(|s| {
-        base.observations.iter().any(|b| {
-            let near = |k: usize| (b.tag.corners_px[k] - s.tag.corners_px[k]).norm() < 3.0 * TAG_MISFIT_PX;
-            b.camera != s.camera && b.tag.id == s.tag.id && (0..4).all(near)
-        })
-    });
-    let cause = if as_in_the_other_camera {
-        "the left and the right picture are swapped"
-    } else {
-        "left and right swapped, pictures not taken together, cameras moved since they were calibrated, or another tag size"
-    };
-    format!("the base tag's corners lie {off_px:.1} px from any pose that both cameras share: {cause}")
+/// The most certain of several sightings of a tag in one picture (a second print, a mirror image), and what is said of the others.
+fn each_once(tags: PairTags) -> (PairTags, Vec<String>) {
+    let (mut kept, mut remarks) = (PairTags::new(), BTreeSet::new());
+    for (camera, tag) in tags {
+        let same = |k: &&mut (usize, Tag)| k.0 == camera && k.1.id == tag.id && k.1.family == tag.family;
+        let Some(other) = kept.iter_mut().find(same) else {
+            kept.push((camera, tag));
+            continue;
+        };
+        remarks.insert(format!(
+            "tag {} {} is seen more than once in the {} picture: counted once",
+            tag.family,
+            tag.id,
+            ["left", "right"][camera]
+        ));
+        if tag.decision_margin > other.1.decision_margin {
+            other.1 = tag;
+        }
+    }
+    (kept, remarks.into_iter().collect())
 }
 
 fn missing_tag(rig: &Rig, loaded: &PairInput) -> String {

@@ -8,7 +8,6 @@ use crate::shape::curve_fit::{
     stepped, visible, with_prior,
 };
 use crate::shape::socp_start::socp_initial_curve;
-use crate::stages::{Stage, StageClock};
 use crate::stereo::StereoCameras;
 use crate::wire::appearance::fit_appearance;
 use crate::wire::piece::{Appearance, Piece};
@@ -98,12 +97,11 @@ pub struct Scene<'a> {
 ///
 /// # Errors
 /// A sentence with the reason why the pair cannot be used.
-pub fn fit_pair(scene: &Scene<'_>, start: Option<&PairFit>, times: &StageClock) -> Result<PairFit, String> {
-    let fitted = |begun| times.time(Stage::Fit, || refine(scene, begun, start.is_some()));
+pub fn fit_pair(scene: &Scene<'_>, start: Option<&PairFit>) -> Result<PairFit, String> {
     if let Some(fit) = start {
-        return fitted(fit.clone());
+        return refine(scene, fit.clone(), true);
     }
-    let search = |wide| times.time(Stage::Search, || begin(scene, wide)).and_then(fitted);
+    let search = |wide| begin(scene, wide).and_then(|begun| refine(scene, begun, false));
     // A wire lost in a gap or at another line is searched for again with wider beams; if that fails, too, the first reason is reported.
     search(false).or_else(|why| search(true).map_err(|_| why))
 }

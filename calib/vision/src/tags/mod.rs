@@ -4,7 +4,6 @@ pub mod apriltag_ffi;
 pub mod base_pose;
 pub mod detection;
 mod edges;
-pub(crate) mod once;
 pub mod pose;
 mod regions;
 pub(crate) mod size;

@@ -44,7 +44,7 @@ fn truth() -> Value {
 fn run_on(left: &str, right: &str, rig_text: &str) -> ShapesDocument {
     let rig = Rig::parse("rig.toml", rig_text).unwrap();
     let files = pair_files(&list_pictures(left).unwrap(), &list_pictures(right).unwrap()).unwrap();
-    shapes_of_pairs(stereo(), &rig, &files, None, &|_| {}).document
+    shapes_of_pairs(stereo(), &rig, &files, &|_| {}).document
 }
 
 fn run(rig_text: &str) -> ShapesDocument {

@@ -68,11 +68,10 @@ fn calibrated(seed: u64) -> StereoCameras {
     }
 }
 
-/// Draws one pair for every list of wires and runs the folder. `still`: wires that a background picture shows as well.
+/// Draws one pair for every list of wires and runs the folder.
 fn run(
     cameras: &StereoCameras,
     scenes: &[Vec<Vec<Vector3<f64>>>],
-    still: Option<&[Vector3<f64>]>,
     seed: u64,
     style: &Style,
 ) -> ShapesDocument {
@@ -88,17 +87,9 @@ fn run(
     }
     let list = |k: usize| list_pictures(&sides[k].display().to_string()).unwrap();
     let files = pair_files(&list(0), &list(1)).unwrap();
-    let background = still.map(|wire| {
-        [0, 1].map(|camera| {
-            let draws: Vec<_> = (0..4)
-                .map(|k| bench::draw(camera, &[wire], 7000 * seed + 10 * k + camera as u64, style))
-                .collect();
-            Picture::mean(&draws).unwrap()
-        })
-    });
     let diameter = format!("diameter_mm = {}", style.diameter_mm);
     let rig = Rig::parse("rig.toml", &bench::RIG.replace("diameter_mm = 0.3", &diameter)).unwrap();
-    shapes_of_pairs(cameras, &rig, &files, background.as_ref(), &|_| {}).document
+    shapes_of_pairs(cameras, &rig, &files, &|_| {}).document
 }
 
 /// Shares of true points inside the stated 95 % region, the sds multiplied by `factor`, and the greatest RMS of a pair, mm.
@@ -128,7 +119,7 @@ fn a_drawn_wire_is_found_inside_its_stated_region_and_a_second_one_is_noticed() 
     // The second of these two pairs leaves the first wire's cover only where it has bent away from it.
     scenes.push(vec![bench::wire(1), bench::wire(5)]);
     scenes.push(vec![bench::wire(304), bench::wire(305)]);
-    let mut shapes = run(&calibrated(1), &scenes, None, 1, &Style::default());
+    let mut shapes = run(&calibrated(1), &scenes, 1, &Style::default());
     for two in shapes.pairs.split_off(2) {
         assert_eq!(two.status, "rejected");
         assert!(two.why.contains("two wires"), "{}", two.why);
@@ -152,7 +143,7 @@ fn thin_thick_bright_and_blurred_wires_are_followed_to_their_end() {
     for (k, (limit_mm, style)) in styles.into_iter().enumerate() {
         // A wire that bends 22 mm away from its rest shape, which the search has to follow.
         let wire = bench::wire(200);
-        let shapes = run(&calibrated(2), &[vec![wire.clone()]], None, 20 + k as u64, &style);
+        let shapes = run(&calibrated(2), &[vec![wire.clone()]], 20 + k as u64, &style);
         let (_, rms) = judged(&shapes, std::slice::from_ref(&wire), 1.0);
         assert!(rms <= limit_mm, "{style:?}: {rms} mm");
         let length = shapes.pairs[0].length_mm;
@@ -165,7 +156,7 @@ fn thin_thick_bright_and_blurred_wires_are_followed_to_their_end() {
 fn a_thick_wire_that_is_lost_is_not_called_ok() {
     let style = Style { diameter_mm: 0.5, ..Style::default() };
     let wire = bench::wire(211);
-    let shapes = run(&calibrated(2), &[vec![wire.clone()]], None, 21, &style);
+    let shapes = run(&calibrated(2), &[vec![wire.clone()]], 21, &style);
     let pair = &shapes.pairs[0];
     if pair.status == "ok" {
         let (_, rms) = judged(&shapes, &[wire], 1.0);
@@ -179,7 +170,7 @@ fn a_thick_wire_that_is_lost_is_not_called_ok() {
 #[test]
 fn a_line_that_ends_far_from_the_known_length_is_rejected() {
     let cut = bench::wire(200)[..=900].to_vec();
-    let shapes = run(&calibrated(2), &[vec![cut]], None, 30, &Style::default());
+    let shapes = run(&calibrated(2), &[vec![cut]], 30, &Style::default());
     let pair = &shapes.pairs[0];
     assert_eq!(pair.status, "rejected");
     assert!(pair.why.contains("the wire is 60.0 mm long"), "{}", pair.why);
@@ -192,25 +183,15 @@ fn a_wire_is_taken_up_again_behind_a_card_and_not_made_up() {
     for (seed, covered_mm) in [(3104, [20.0, 28.0]), (3105, [38.0, 46.0])] {
         let style = Style { covered_mm, ..Style::default() };
         let wire = bench::wire(seed);
-        let shapes = run(&calibrated(3), &[vec![wire.clone()]], None, seed, &style);
+        let shapes = run(&calibrated(3), &[vec![wire.clone()]], seed, &style);
         let (inside, rms) = judged(&shapes, std::slice::from_ref(&wire), 1.0);
         assert!(rms <= 0.05, "{seed}: {rms} mm");
         assert!(inside >= 0.8, "{seed}: {inside}");
         assert!((shapes.pairs[0].length_mm - bench::LENGTH_MM).abs() < 0.05, "{seed}");
         let ends = wire[..=(20.0 * (covered_mm[1] - 1.0)) as usize].to_vec();
-        let shapes = run(&calibrated(3), &[vec![ends]], None, seed, &style);
+        let shapes = run(&calibrated(3), &[vec![ends]], seed, &style);
         assert_eq!(shapes.pairs[0].status, "rejected", "{seed}");
     }
-}
-
-/// A cable beside the whisker makes two wires; a picture of the bench without the whisker says which one to follow.
-#[test]
-fn what_a_background_picture_shows_is_not_the_wire() {
-    let (wire, cable) = (bench::wire(1), bench::wire(5));
-    let scenes = [vec![wire.clone(), cable.clone()]];
-    let shapes = run(&calibrated(1), &scenes, Some(&cable), 2, &Style::default());
-    let (_, rms) = judged(&shapes, &[wire], 1.0);
-    assert!(rms <= 0.03, "{rms} mm");
 }
 
 #[test]
@@ -220,7 +201,7 @@ fn the_stated_region_holds_95_percent_of_true_points_over_ten_calibrations() {
     for seed in 0..10 {
         let wires: Vec<_> = (0..3).map(|k| bench::wire(100 + 3 * seed + k)).collect();
         let scenes: Vec<Vec<Vec<Vector3<f64>>>> = wires.iter().map(|w| vec![w.clone()]).collect();
-        let shapes = run(&calibrated(seed), &scenes, None, 50 + seed, &Style::default());
+        let shapes = run(&calibrated(seed), &scenes, 50 + seed, &Style::default());
         let (inside, rms) = judged(&shapes, &wires, 1.0);
         println!("calibration {seed}: {:.1} % inside, worst RMS {rms:.4} mm", 100.0 * inside);
         shares.push(inside);

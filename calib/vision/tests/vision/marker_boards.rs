@@ -192,7 +192,7 @@ fn charuco_boards_of_another_layout_are_named() {
     assert_as_drawn(&as_drawn);
     assert!(!as_drawn.warnings.iter().any(|w| w.contains("does not fit")), "{:?}", as_drawn.warnings);
     let why = named(&stated([8, 5], false));
-    assert!(why.contains("does not fit") && why.contains("--legacy-charuco"), "{why}");
+    assert!(why.contains("does not fit") && why.contains("--pattern charuco-legacy"), "{why}");
     let why = named(&stated([5, 8], false));
     assert!(why.contains("does not fit") && why.contains("--board 8x5"), "{why}");
     // Another dictionary's numbers: the right one is told.

@@ -25,6 +25,7 @@ use faults::Fault;
 use link::Pty;
 use plant::Plant;
 use scenario::Scenario;
+use schemars::JsonSchema;
 use serde::Serialize;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
@@ -35,26 +36,26 @@ use wcal_core::clock::late_s;
 use world::BenchState;
 
 /// Where the devices answer; printed as one JSON line by `wcal virtual-bench`.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Addresses {
     /// Path of the stage's pseudo-terminal.
     pub stage_pty: String,
     /// The stage on TCP.
     pub stage_tcp: SocketAddr,
-    /// The sm130.
+    /// sm130, host:port.
     pub sm130: SocketAddr,
     /// The Hyperion.
     pub hyperion: HyperionAddresses,
-    /// Picture streams.
+    /// Cameras, host:port.
     pub cameras: Vec<SocketAddr>,
     /// Bench seconds per wall second.
     pub speed: f64,
 }
 
 /// Ports of the Hyperion.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct HyperionAddresses {
-    /// Commands.
+    /// host:port.
     pub commands: SocketAddr,
     /// Streamed peaks.
     pub peaks: SocketAddr,

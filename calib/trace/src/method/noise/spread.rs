@@ -5,6 +5,7 @@
 
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Fewer readings say nothing about a trend of the spread.
@@ -15,7 +16,7 @@ pub const SPREAD_LEVEL: f64 = 0.001;
 pub const SPREAD_REMARK: f64 = 0.01;
 
 /// How the standard deviation follows the stimulus.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum SpreadLaw {
     /// sd ~ stimulus^b; only where every stimulus is positive.

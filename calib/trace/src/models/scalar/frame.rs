@@ -1,5 +1,6 @@
 //! The rows of a transducer or axis session in the order in which they were taken, with normalised covariates.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wcal_core::Sealed;
 use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
@@ -14,7 +15,7 @@ pub enum ScalarData<'a> {
 }
 
 /// Declared model of the session.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Declared {
     /// Polynomial of this degree in the stimulus with free coefficients.
@@ -157,7 +158,7 @@ impl ScalarData<'_> {
 }
 
 /// Origins and spans by which covariates are normalised; taken from the fitted rows and kept for prediction.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Scaling {
     /// Middle of the stimulus.
     pub mid: f64,

@@ -12,11 +12,12 @@ use crate::method::hypothesis::Hypothesis;
 use crate::method::lack_of_fit::LackOfFit;
 use crate::method::noise::spread::{Spread, SpreadLaw};
 use nalgebra::DMatrix;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wcal_core::observation::Role;
 
 /// An accepted effect with its fitted values (units of the catalogue: half ranges, durations, cycles).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModelTerm {
     /// Identifier of docs/src/formats.md.
     pub id: String,
@@ -30,7 +31,7 @@ pub struct ModelTerm {
 }
 
 /// How the spread of the noise follows the stimulus.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ModelSpread {
     /// Law.
     pub law: SpreadLaw,
@@ -41,9 +42,10 @@ pub struct ModelSpread {
 }
 
 /// Everything that predictions at new readings need.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScalarModel {
     /// `transducer` or `axis`.
+    #[schemars(extend("enum" = ["transducer", "axis"]))]
     pub session_kind: String,
     /// Unit of the stimulus.
     pub stimulus_unit: String,
@@ -51,7 +53,7 @@ pub struct ScalarModel {
     pub response_unit: String,
     /// Names of further covariates.
     pub covariates: Vec<String>,
-    /// Declared model.
+    /// Declared model: `{"polynomial": degree}` or `"axis"`.
     pub declared: Declared,
     /// Normalisation of the covariates.
     pub scaling: Scaling,

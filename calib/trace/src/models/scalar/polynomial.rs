@@ -1,10 +1,11 @@
 //! Coefficients of a polynomial in the stimulus, to the digits that double precision allows.
 
 use nalgebra::{DMatrix, DVector};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Least-squares polynomial in the stimulus as measured.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Polynomial {
     /// Coefficients, constant first.
     pub coefficients: Vec<f64>,

@@ -14,12 +14,13 @@ use crate::scalar::ModelError;
 use crate::scalar::model::square;
 use crate::whisker::path::WhiskerPath;
 use nalgebra::{DMatrix, Matrix2, Vector2};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wcal_core::FbgSpec;
 use wcal_core::verify_document::EffectParameter;
 
 /// An accepted effect with its fitted values.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct AcceptedEffect {
     /// Identifier.
     pub id: String,
@@ -27,12 +28,12 @@ pub struct AcceptedEffect {
     pub law: String,
     /// Nonlinear values in the law's order.
     pub values: Vec<f64>,
-    /// Every parameter with its interval.
+    /// Every parameter with its interval (physical).
     pub parameters: Vec<EffectParameter>,
 }
 
 /// The part of the readings' noise that is correlated in time (first-order Gauss-Markov process).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CorrelatedReadings {
     /// Standard deviation, pm.
     pub sd_pm: f64,
@@ -43,7 +44,7 @@ pub struct CorrelatedReadings {
 }
 
 /// Wavelengths as a function of base moments, with accepted effects: `y = B' [1, m, columns]`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct PhysicalModel {
     /// Coefficients, one row a design column (zero, the two moments, zeros of later seatings, effect columns), one column a channel.
     pub coefficients: Vec<[f64; 2]>,
@@ -51,7 +52,8 @@ pub struct PhysicalModel {
     pub covariance: Vec<Vec<f64>>,
     /// Standard deviation of a typical loaded reading at a pose set anew, pm.
     pub noise_sd_pm: f64,
-    /// The part of that noise that is correlated in time; absent where none was found, and in files from before it.
+    /// The part of the readings' noise that is correlated in time (first-order Gauss-Markov process), for predictions; absent where it
+    /// predicts no better.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correlated_noise: Option<CorrelatedReadings>,
     /// Accepted effects.

@@ -2,10 +2,6 @@
 
 use super::predictions::Predicted;
 use super::system::WhiskerSystem;
-use crate::measurement_model::MeasurementModel;
-use crate::method::hypothesis::{Hypothesis, SearchResult};
-use crate::method::inference::{cosine, explained};
-use nalgebra::DVector;
 use wcal_core::observation::Role;
 
 /// A reading with both predictions, for predictions.csv.
@@ -71,36 +67,4 @@ pub(super) fn branches(system: &WhiskerSystem) -> Vec<Branch> {
             (t.id, kept.iter().map(|k| k.0).collect(), kept.iter().map(|k| k.1).collect())
         })
         .collect()
-}
-
-/// Cosines between explanations.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Cosines {
-    /// Names.
-    pub names: Vec<String>,
-    /// In all that is observed.
-    pub all: Vec<Vec<f64>>,
-    /// In the wavelengths alone, where there are pictures beside them.
-    pub without_pictures: Option<Vec<Vec<f64>>>,
-}
-
-/// Names and cosines of the first explanations.
-pub(super) fn isolability(system: &WhiskerSystem, found: &SearchResult) -> Cosines {
-    let shown: Vec<&Hypothesis> = found.refitted.iter().take(10).collect();
-    let names = shown
-        .iter()
-        .map(|h| {
-            let ids: Vec<&str> = h.fit.terms.iter().map(|t| system.catalogue()[t.effect].id()).collect();
-            match system.outliers().filter(|_| ids.is_empty()) {
-                Some(single) => system.catalogue()[single].id().to_owned(),
-                None => ids.join(" + "),
-            }
-        })
-        .collect();
-    let vectors: Vec<_> = shown.iter().map(|h| explained(&found.base, h)).collect();
-    let matrix = |of: &[DVector<f64>]| of.iter().map(|a| of.iter().map(|b| cosine(a, b)).collect()).collect();
-    let readings = found.base.fit.residual.len();
-    let alone: Vec<_> = vectors.iter().map(|v| v.rows(0, readings).into_owned()).collect();
-    let pictures = system.pictures().is_some();
-    Cosines { names, all: matrix(&vectors), without_pictures: pictures.then(|| matrix(&alone)) }
 }

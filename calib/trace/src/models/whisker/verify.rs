@@ -1,7 +1,7 @@
 //! `verify` for kind "whisker": admission of the data, the procedure, and what reports and calibration need of it.
 
 use super::physical::PhysicalModel;
-use super::residual_tables::{Branch, Cosines, PredictionRow, branches, isolability, prediction_rows};
+use super::residual_tables::{Branch, PredictionRow, branches, prediction_rows};
 use super::sensitivity;
 use super::system::WhiskerSystem;
 use super::twin_check::{LabelReport, check_labels};
@@ -32,8 +32,6 @@ pub struct WhiskerVerification {
     pub further: Vec<(String, HeldOutError)>,
     /// Rod branch along each trajectory: (identifier, stage positions, moments).
     pub branches: Vec<Branch>,
-    /// Names and matrix of cosines between explanations of one effect.
-    pub isolability: Cosines,
     /// Every reading of the session, unsealed ones among them.
     pub whole: WhiskerSystem,
     /// Record of the unsealing; none where nothing was sealed.
@@ -130,7 +128,6 @@ pub fn verify_whisker(
         },
         further: v.errors.further,
         branches: branches(&system),
-        isolability: isolability(&system, &explained.found),
         found: explained.found,
         unsealing: v.unsealing,
         whole,

@@ -5,7 +5,6 @@ use wcal_vision::calibrate::export::exports;
 use wcal_vision::calibrate::import::{
     ImportedCamera, import_kalibr, import_opencv, import_ros, imported, read_cameras,
 };
-use wcal_vision::calibrate::reference::differences;
 use wcal_vision::camera::lens::{FISHEYE, Lens, OPENCV5, lenses};
 
 fn document_with(lens: &'static dyn Lens) -> StereoDocument {
@@ -78,42 +77,6 @@ fn the_kind_of_a_file_is_seen_in_it() {
     let error = read_cameras(&[left.clone(), left]).unwrap_err().to_string();
     assert!(error.contains("baseline"), "{error}");
     assert!(read_cameras(&[place.path().join("no.json")]).unwrap_err().to_string().contains("no.json"));
-}
-
-#[test]
-fn what_differs_from_a_reference_is_said_once_each() {
-    let shifted = |by: f64| {
-        let mut other = document();
-        for camera in &mut other.cameras {
-            camera.k[0][2] += by;
-            camera.k[1][2] += by;
-        }
-        other
-    };
-    let told = |other: &StereoDocument| differences(&document(), other);
-    // Controls: the same cameras, and a small shift that is no convention.
-    assert_eq!(told(&document()), Vec::<String>::new());
-    assert_eq!(told(&shifted(0.2)), Vec::<String>::new());
-    for (by, word) in [(0.5, "+0.5"), (-0.5, "-0.5")] {
-        let found = told(&shifted(by));
-        assert!(found.len() == 2 && found.iter().all(|f| f.contains(word)), "{found:?}");
-    }
-    let mut larger = document();
-    for row in larger.right_from_left.iter_mut().take(3) {
-        row[3] *= 1.02;
-    }
-    assert!(matches!(told(&larger).as_slice(), [one] if one.contains("size of the squares")));
-    let mut other = document();
-    other.cameras.swap(0, 1);
-    let inverse = document().stereo_cameras().unwrap().right_from_left.inverse().to_homogeneous();
-    other.right_from_left = [0, 1, 2, 3].map(|i| [0, 1, 2, 3].map(|j| inverse[(i, j)]));
-    assert!(matches!(told(&other).as_slice(), [one] if one.contains("swapped")));
-    let mut long = document();
-    long.cameras[1].k[0][0] *= 1.03;
-    assert!(matches!(told(&long).as_slice(), [one] if one.contains("right camera: fx")));
-    let mut small = document();
-    small.image_size_px = [640, 480];
-    assert!(matches!(told(&small).as_slice(), [one] if one.contains("640x480")));
 }
 
 #[test]

@@ -5,16 +5,15 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 const HEAD: &str = "# JSON documents\n\n\
-    Every JSON document that the program writes, key by key. The page is made from the schemas in `docs/schemas` (JSON Schema, draft 2020-12), and a\n\
-    test holds real outputs against them. Keys may be added, so a reader must take further ones; none is renamed or dropped. Where a key may be\n\
-    absent, the table says so; units are in the names.\n";
+    Every JSON document that the program writes, key by key. The page and the schemas in `docs/schemas` (JSON Schema, draft 2020-12) are made from\n\
+    the types that write the documents, and a test holds real outputs against them. Keys may be added, so a reader must take further ones. Where a\n\
+    key may be absent, the table says so; units are in the names.\n";
 
 /// Files first, then what `--json` prints.
-const ORDER: [&str; 25] = [
+const ORDER: [&str; 20] = [
     "verify",
     "calibration",
     "fit-gpr",
-    "report",
     "unsealed",
     "run",
     "stereo",
@@ -26,13 +25,9 @@ const ORDER: [&str; 25] = [
     "model",
     "evaluation",
     "track",
-    "peers",
     "bench",
     "import",
-    "doctor",
-    "init",
     "predict",
-    "plan-check",
     "path",
     "sweep",
     "reduction",
@@ -63,15 +58,41 @@ pub fn render(schemas: &BTreeMap<String, Value>) -> String {
     out
 }
 
+/// What a schema holds, a line a key; each of several variants by itself.
 fn table(schema: &Value, out: &mut String) {
     let mut lines = Vec::new();
     rows("", schema, &mut lines);
-    if lines.is_empty() {
-        let _ = write!(out, "\n{}\n", kind(schema));
-        return;
+    if !lines.is_empty() {
+        out.push_str("\n| key | value | meaning |\n|---|---|---|\n");
+        lines.iter().for_each(|line| out.push_str(line));
     }
-    out.push_str("\n| key | value | meaning |\n|---|---|---|\n");
-    lines.iter().for_each(|line| out.push_str(line));
+    let variants = alternatives(schema);
+    let words: Vec<&Value> = variants.iter().copied().filter(|v| v.get("properties").is_none()).collect();
+    if !words.is_empty() {
+        out.push_str("\n| value | meaning |\n|---|---|\n");
+        for word in &words {
+            let _ = writeln!(out, "| {} | {} |", kind(word), about(word));
+        }
+    }
+    for variant in variants.iter().filter(|v| v.get("properties").is_some()) {
+        let _ = write!(out, "\n{}\n", or(&about(variant), "Or:"));
+        table(variant, out);
+    }
+    if lines.is_empty() && variants.is_empty() {
+        let _ = write!(out, "\n{}\n", kind(schema));
+    }
+}
+
+fn alternatives(schema: &Value) -> Vec<&Value> {
+    ["anyOf", "oneOf"].iter().flat_map(|key| schema[*key].as_array().into_iter().flatten()).collect()
+}
+
+fn about(schema: &Value) -> String {
+    schema["description"].as_str().unwrap_or_default().replace('|', "\\|")
+}
+
+fn or<'a>(text: &'a str, other: &'a str) -> &'a str {
+    if text.is_empty() { other } else { text }
 }
 
 fn rows(prefix: &str, schema: &Value, out: &mut Vec<String>) {
@@ -79,8 +100,7 @@ fn rows(prefix: &str, schema: &Value, out: &mut Vec<String>) {
         schema["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
     for (key, value) in schema["properties"].as_object().into_iter().flatten() {
         let absent = if required.contains(&key.as_str()) { "" } else { " May be absent." };
-        let about = value["description"].as_str().unwrap_or_default().replace('|', "\\|");
-        out.push(format!("| `{prefix}{key}` | {} | {about}{absent} |\n", kind(value)));
+        out.push(format!("| `{prefix}{key}` | {} | {}{absent} |\n", kind(value), about(value)));
         inside(&format!("{prefix}{key}"), value, out);
     }
 }
@@ -94,9 +114,7 @@ fn inside(path: &str, value: &Value, out: &mut Vec<String>) {
     if value["additionalProperties"].is_object() {
         inside(&format!("{path}.NAME"), &value["additionalProperties"], out);
     }
-    for one in value["anyOf"].as_array().into_iter().flatten() {
-        inside(path, one, out);
-    }
+    alternatives(value).into_iter().for_each(|one| inside(path, one, out));
 }
 
 /// What a value is, in words.
@@ -107,10 +125,9 @@ fn kind(value: &Value) -> String {
     if let Some(fixed) = value.get("const") {
         return format!("`{}`", fixed.to_string().replace('"', ""));
     }
-    if let Some(one) =
-        value["anyOf"].as_array().or(value["oneOf"].as_array()).filter(|_| value.get("type").is_none())
-    {
-        return one.iter().map(kind).collect::<Vec<_>>().join(" or ");
+    let one = alternatives(value);
+    if !one.is_empty() && value.get("type").is_none() {
+        return one.into_iter().map(kind).collect::<Vec<_>>().join(" or ");
     }
     let types: Vec<&str> = match &value["type"] {
         Value::Array(all) => all.iter().filter_map(Value::as_str).collect(),
@@ -128,6 +145,10 @@ fn word(name: &str, value: &Value) -> String {
         }
         "string" => "text".to_owned(),
         "boolean" => "true or false".to_owned(),
+        "array" if value["prefixItems"].is_array() => {
+            let all = value["prefixItems"].as_array().into_iter().flatten();
+            format!("list: {}", all.map(kind).collect::<Vec<_>>().join(", "))
+        }
         "array" => {
             let count = match (value["minItems"].as_u64(), value["maxItems"].as_u64()) {
                 (Some(least), Some(most)) if least == most => format!("{least} "),

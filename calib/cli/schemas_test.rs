@@ -1,0 +1,37 @@
+//! The JSON documents that this program writes, by their types.
+
+use crate::json_reference::{hold, schema};
+use crate::{import, predict, reduce, simulate, stage_sweep, unseal_record};
+use std::path::Path;
+use wcal_calibration::CalibrationModel;
+use wcal_core::map_document::MapDocument;
+use wcal_core::shapes_document::ShapesDocument;
+use wcal_core::verify_document::VerifyDocument;
+use wcal_vision::calibrate::document::StereoDocument;
+
+#[test]
+fn schemas_and_reference_are_made_from_the_types() {
+    let own = vec![
+        schema::<VerifyDocument>("verify", "verify.json"),
+        schema::<wcal_core::CalibrationFile<CalibrationModel>>("calibration", "calibration.json"),
+        schema::<MapDocument>("fit-gpr", "fit-gpr.json"),
+        schema::<unseal_record::UnsealedFile>("unsealed", "unsealed.json"),
+        schema::<wcal_acquisition::run_file::RunFile>("run", "run.json"),
+        schema::<StereoDocument>("stereo", "stereo.json"),
+        schema::<ShapesDocument>("shapes", "shapes.json"),
+        schema::<simulate::document::DatasetDocument>("dataset", "dataset.json"),
+        schema::<wcal_sim::shard::Manifest>("shard", "OBJECT-FIRST.json"),
+        schema::<wcal_sim::recipe::Recipe>("recipe", "recipe.json"),
+        schema::<simulate::slurm::Submission>("submission", "slurm/submission.json"),
+        schema::<wcal_track::model_file::Card>("model", "model.json"),
+        schema::<wcal_evaluate::EvaluationDocument>("evaluation", "evaluation.json"),
+        schema::<wcal_contact::track_document::TrackDocument>("track", "track.json"),
+        schema::<wcal_drivers::bench::Addresses>("bench", "wcal virtual-bench"),
+        schema::<import::ImportDocument<'_>>("import", "wcal import --json"),
+        schema::<predict::PredictionDocument<'_>>("predict", "wcal predict --json"),
+        schema::<stage_sweep::PathDocument>("path", "wcal stage-sweep --dry-run --json"),
+        schema::<stage_sweep::SweepDocument<'_>>("sweep", "wcal stage-sweep --json"),
+        schema::<reduce::ReductionDocument<'_>>("reduction", "wcal reduce --json"),
+    ];
+    hold(Path::new(env!("CARGO_MANIFEST_DIR")), own, &[]);
+}

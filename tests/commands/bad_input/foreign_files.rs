@@ -1,7 +1,6 @@
 //! Tables and meshes as other programs write them: read, or named with the option that reads them.
 
 use super::*;
-use crate::support::fixture;
 
 const TEXT: &str =
     "Force (N),Signal (mV/V),Temp (\u{b0}C)\n0,-0.00001,21.3\n500,0.20026,21.3\n1000,0.40095,21.31\n";

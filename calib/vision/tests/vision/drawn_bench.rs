@@ -11,7 +11,6 @@ use wcal_core::shapes_document::ShapesDocument;
 use wcal_vision::calibrate::board::board_points;
 use wcal_vision::calibrate::bundle::{BoardView, BundleState, Free, solve};
 use wcal_vision::pairs::{list_pictures, pair_files};
-use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;
 use wcal_vision::shape::folder::shapes_of_pairs;
 use wcal_vision::stereo::StereoCameras;

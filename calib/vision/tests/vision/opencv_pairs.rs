@@ -2,7 +2,7 @@
 
 use crate::common;
 use nalgebra::Vector2;
-use opencv::core::{Point2f, Size, TermCriteria, TermCriteria_Type, Vector};
+use opencv::core::{Mat, Point2f, Size, TermCriteria, TermCriteria_Type, Vector};
 use opencv::imgproc;
 use wcal_vision::calibrate::board::board_points;
 use wcal_vision::calibrate::board::{Board, Pattern};
@@ -26,7 +26,8 @@ fn by_opencv(picture: &Picture, coarse: &[Vector2<f64>]) -> Vec<Option<Vector2<f
     let mut corners: Vector<Point2f> = coarse.iter().map(|p| Point2f::new(p.x as f32, p.y as f32)).collect();
     let kind = TermCriteria_Type::EPS as i32 + TermCriteria_Type::COUNT as i32;
     let until = TermCriteria::new(kind, 60, 1e-4).unwrap();
-    let mat = picture.to_mat().unwrap();
+    let rows: Vec<&[u8]> = picture.data.chunks_exact(picture.width).collect();
+    let mat = Mat::from_slice_2d(&rows).unwrap();
     imgproc::corner_sub_pix(&mat, &mut corners, Size::new(5, 5), Size::new(-1, -1), until).unwrap();
     corners.iter().map(|p| Some(Vector2::new(f64::from(p.x), f64::from(p.y)))).collect()
 }

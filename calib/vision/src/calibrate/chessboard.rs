@@ -35,8 +35,9 @@ impl std::fmt::Display for BoardSize {
     }
 }
 
-/// Window of a corner's refinement, as a share of the distance to its nearest neighbour.
-const WINDOW: f64 = 0.5;
+/// Window of a corner's refinement, as a share of the distance to its nearest neighbour. RMS of the solve with 0.3, 0.5 and 0.7: OpenCV's thirteen
+/// pairs 0.164, 0.161 and 0.163 px, the rendered bench 0.0088, 0.0070 and 0.0058 px.
+const WINDOW: f64 = 0.7;
 /// Smallest radius of that window, px.
 const MIN_WINDOW_PX: f64 = 3.0;
 
@@ -128,16 +129,22 @@ fn neighbourhood(board: BoardSize, points: &[Vector2<f64>], k: usize) -> (f64, [
     (nearest, sides)
 }
 
-/// Refined corners ([`fit_corner`]); a corner that cannot be refined is none.
+/// Refined corners ([`fit_corner`], twice: the finder's places are a pixel off); a corner that cannot be refined is none.
 #[must_use]
 pub fn refine(picture: &Picture, board: BoardSize, coarse: &[Vector2<f64>]) -> Vec<Option<Corner>> {
-    (0..coarse.len())
-        .into_par_iter()
-        .map(|k| {
-            let (distance, sides) = neighbourhood(board, coarse, k);
-            fit_corner(picture, &coarse[k], sides, (WINDOW * distance).max(MIN_WINDOW_PX))
-        })
-        .collect()
+    let once = |start: &[Vector2<f64>]| -> Vec<Option<Corner>> {
+        (0..start.len())
+            .into_par_iter()
+            .map(|k| {
+                let (distance, sides) = neighbourhood(board, start, k);
+                fit_corner(picture, &start[k], sides, (WINDOW * distance).max(MIN_WINDOW_PX))
+            })
+            .collect()
+    };
+    let found = once(coarse);
+    let start: Vec<Vector2<f64>> =
+        found.iter().zip(coarse).map(|(f, c)| f.as_ref().map_or(*c, |f| f.position_px)).collect();
+    once(&start)
 }
 
 /// Whether the pattern continues beyond the corners found: then the board is larger than stated. Names the side.

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use wcal_acquisition::path_text::{draw, duration_s};
 use wcal_acquisition::plan::Step;
 use wcal_acquisition::record::{RecordRequest, RecordResult, plan_only, record};
-use wcal_acquisition::sweep::{Ending, Progress};
+use wcal_acquisition::sweep::{Ending, Progress, StageEnd};
 use wcal_core::device::{DeviceError, DeviceErrorKind, Mount};
 use wcal_drivers::Drivers;
 use wcal_drivers::bench::in_process::InProcess;
@@ -210,7 +210,7 @@ fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
         let document = json!({
             "format": "wcal-sweep/1", "session": folder, "simulated": recorded.simulated, "ending": ending, "warnings": warnings,
             "cause": cause.map(|c| json!({"kind": c.kind.name(), "text": c.to_string()})),
-            "stage_stopped": match sweep.ending { Ending::Stopped { stage_stopped, .. } => stage_stopped, Ending::Finished => true },
+            "stage_stopped": match sweep.ending { Ending::Stopped { stage, .. } => stage.stands(), Ending::Finished => true },
             "steps_done": sweep.done, "unsettled": sweep.unsettled, "scans": sweep.counts.scans,
             "gaps": sweep.counts.gaps, "lost_scans": sweep.counts.lost, "stage_repeats": recorded.repeats,
             "camera_pairs": sweep.counts.pairs, "camera_pairs_refused": sweep.counts.pairs_refused,
@@ -222,8 +222,14 @@ fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
     }
     if let Some(cause) = cause {
         eprintln!("stage-sweep: stopped: {cause}");
-        if let Ending::Stopped { stage_stopped: false, .. } = sweep.ending {
-            eprintln!("stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else");
+        match sweep.ending {
+            Ending::Stopped { stage: StageEnd::Unknown, .. } => {
+                eprintln!("stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else");
+            }
+            Ending::Stopped { stage: StageEnd::Stands, .. } => {
+                eprintln!("stage-sweep: the stage stands where it was stopped, perhaps in contact");
+            }
+            _ => eprintln!("stage-sweep: the stage stands, retracted from the wire"),
         }
         eprintln!("go on with the same rig and plan and --resume {}", folder.display());
     }

@@ -12,6 +12,7 @@ pub mod clock_watch;
 pub mod clocks;
 pub mod error;
 pub mod lag;
+pub mod limits;
 mod make_safe;
 pub mod message;
 pub mod monitor;

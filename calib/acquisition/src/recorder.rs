@@ -13,7 +13,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions};
 use std::io::BufWriter;
 use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use wcal_core::device::{CameraFrame, FbgReading, StageReading};
@@ -47,6 +47,7 @@ pub struct Recorder {
     groove: Channel<PoseInFrame>,
     images: Mutex<HashMap<String, Channel<CompressedImage>>>,
     pace: Mutex<Pace>,
+    path: PathBuf,
 }
 
 /// A WebSocket server of the Foxglove protocol; ends when dropped.
@@ -102,10 +103,11 @@ impl Recorder {
         // Uncompressed: 2 kHz are some 0.2 MB/s, and no C library is needed to read them.
         let options =
             McapWriteOptions::new().chunk_size(Some(512 * 1024)).compression(None).calculate_chunk_crcs(true);
+        let failed = |e| not_written(path, &e);
         let writer =
-            context.mcap_writer_with_options(options).create(BufWriter::new(file)).map_err(broken)?;
-        writer.write_metadata("wcal", about).map_err(broken)?;
-        let recorder = Self::on(context, Some((writer, copy)))?;
+            context.mcap_writer_with_options(options).create(BufWriter::new(file)).map_err(failed)?;
+        writer.write_metadata("wcal", about).map_err(failed)?;
+        let recorder = Self::on(context, Some((writer, copy)), path)?;
         recorder.flush()?;
         Ok(recorder)
     }
@@ -115,12 +117,13 @@ impl Recorder {
     /// # Errors
     /// When the channels cannot be made.
     pub fn without_file() -> Result<Self, AcquisitionError> {
-        Self::on(Context::new(), None)
+        Self::on(Context::new(), None, Path::new(""))
     }
 
     fn on(
         context: Arc<Context>,
         file: Option<(McapWriterHandle<BufWriter<File>>, File)>,
+        path: &Path,
     ) -> Result<Self, AcquisitionError> {
         let now = Instant::now();
         Ok(Self {
@@ -134,6 +137,7 @@ impl Recorder {
             pace: Mutex::new(Pace { flushed: now, synced: now }),
             context,
             file,
+            path: path.to_owned(),
         })
     }
 
@@ -270,8 +274,8 @@ impl Recorder {
     /// When the disk does not take it; what was flushed before stays readable.
     pub fn finish(self) -> Result<(), AcquisitionError> {
         let Some((writer, file)) = self.file else { return Ok(()) };
-        writer.close().map_err(broken)?;
-        file.sync_all().map_err(|e| AcquisitionError::Recorder(e.to_string()))
+        writer.close().map_err(|e| not_written(&self.path, &e))?;
+        file.sync_all().map_err(|e| not_written(&self.path, &e))
     }
 
     /// Writes everything so far to the file.
@@ -279,7 +283,9 @@ impl Recorder {
     /// # Errors
     /// When the disk does not take it.
     pub fn flush(&self) -> Result<(), AcquisitionError> {
-        self.file.as_ref().map_or(Ok(()), |(writer, _)| writer.flush().map_err(broken))
+        self.file
+            .as_ref()
+            .map_or(Ok(()), |(writer, _)| writer.flush().map_err(|e| not_written(&self.path, &e)))
     }
 
     fn keep_pace(&self) -> Result<(), AcquisitionError> {
@@ -298,9 +304,7 @@ impl Recorder {
         };
         self.flush()?;
         match &self.file {
-            Some((_, file)) if sync => {
-                file.sync_data().map_err(|e| AcquisitionError::Recorder(e.to_string()))
-            }
+            Some((_, file)) if sync => file.sync_data().map_err(|e| not_written(&self.path, &e)),
             _ => Ok(()),
         }
     }
@@ -320,6 +324,12 @@ pub(crate) fn raw<M: McapMessage>(
 
 pub(crate) fn log_raw<M: McapMessage>(channel: &RawChannel, message: &M, host_s: f64) {
     channel.log_with_meta(&message.encode_to_vec(), at(host_s));
+}
+
+/// Which file was not written, and why: a full disk says so in its own words.
+fn not_written(path: &Path, error: &dyn std::error::Error) -> AcquisitionError {
+    let causes = std::iter::successors(Some(error), |e| e.source()).map(ToString::to_string);
+    AcquisitionError::Recorder(format!("{}: {}", path.display(), causes.collect::<Vec<_>>().join(": ")))
 }
 
 fn broken(error: foxglove::FoxgloveError) -> AcquisitionError {

@@ -156,31 +156,12 @@ impl Rig {
     pub fn trajectory(&self, id: u32) -> Option<&TrajectoryRig> {
         self.trajectory.iter().find(|t| t.id == id)
     }
-
-    /// Checks a depth (mm from the zero) against the soft limits and the unit's travel.
-    ///
-    /// # Errors
-    /// What is allowed and what was asked for.
-    pub fn check_depth(
-        &self,
-        what: &str,
-        depth_mm: f64,
-        travel_mm: [f64; 2],
-    ) -> Result<(), AcquisitionError> {
-        let position = self.stage.zero_mm + depth_mm;
-        let low = self.stage.soft_limits_mm[0].max(travel_mm[0]);
-        let high = self.stage.soft_limits_mm[1].min(travel_mm[1]);
-        if (low..=high).contains(&position) {
-            return Ok(());
-        }
-        let expected = format!("a stage position in {low:.3}..{high:.3} mm");
-        Err(AcquisitionError::input(what, expected, format!("{position:.3} mm")))
-    }
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::limits::Limits;
 
     pub(crate) const RIG: &str = r#"
 format = "wcal-rig/1"
@@ -219,9 +200,10 @@ shear_gpa = 28.2
     #[test]
     fn a_rig_is_read_and_its_limits_hold() {
         let rig = Rig::parse("rig.toml", RIG).unwrap();
-        assert!(rig.check_depth("x", 20.0, [0.0, 101.6]).is_ok());
-        assert!(rig.check_depth("x", 20.1, [0.0, 101.6]).is_err());
-        assert!(rig.check_depth("x", 15.0, [0.0, 30.0]).is_err());
+        let check = |depth_mm, travel_mm| Limits::new(&rig.stage, travel_mm).check("x", depth_mm);
+        assert!(check(20.0, [0.0, 101.6]).is_ok());
+        assert!(check(20.1, [0.0, 101.6]).is_err());
+        assert!(check(15.0, [0.0, 30.0]).is_err());
         assert_eq!(rig.trajectory(1).unwrap().groove_mm(2.0), Vector3::new(18.0, 0.0, 2.0));
     }
 

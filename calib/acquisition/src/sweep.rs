@@ -4,7 +4,7 @@ use crate::monitor::{Monitor, StreamCounts, lock};
 use crate::plan::{Plan, Step};
 use crate::recorder::Recorder;
 use crate::rig::Rig;
-use crate::steps::{Fault, SILENCE, Sweep};
+use crate::steps::{Fault, SILENCE, Sweep, disk};
 pub use crate::steps::{Progress, Reopen, SweepBench};
 use std::collections::BTreeSet;
 use std::sync::Mutex;
@@ -24,9 +24,28 @@ pub enum Ending {
     Stopped {
         /// Why.
         cause: DeviceError,
-        /// Whether the stage was confirmed to stand afterwards.
-        stage_stopped: bool,
+        /// What became of the stage.
+        stage: StageEnd,
     },
+}
+
+/// What became of the stage of a sweep that stopped.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum StageEnd {
+    /// It stands, retracted from the wire.
+    Retracted,
+    /// It stands where it was stopped.
+    Stands,
+    /// It did not confirm its stop.
+    Unknown,
+}
+
+impl StageEnd {
+    /// Whether it was confirmed to stand.
+    #[must_use]
+    pub fn stands(self) -> bool {
+        self != Self::Unknown
+    }
 }
 
 /// Result of a sweep.
@@ -67,6 +86,21 @@ impl SweepReport {
     }
 }
 
+/// A thread that records: one that panics is a fault of the sweep, which would wait for it.
+pub(crate) struct Watched<'a>(pub(crate) &'a Mutex<Monitor>);
+
+impl Drop for Watched<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let (kind, found) =
+                (DeviceErrorKind::CriticalFault, "a panic of the thread that records it (see above)");
+            let error =
+                DeviceError::new(kind, "program", "record the stream", "a thread that goes on", found);
+            lock(self.0).fail_with(error);
+        }
+    }
+}
+
 /// Reads the stream until `done`, into monitor and recorder. Runs in a thread of its own.
 pub fn acquire(
     interrogator: &mut dyn Interrogator,
@@ -74,6 +108,7 @@ pub fn acquire(
     recorder: &Recorder,
     done: &AtomicBool,
 ) {
+    let _watched = Watched(monitor);
     let mut heard = Instant::now();
     if let Err(e) = interrogator.start() {
         return lock(monitor).fail_with(e);
@@ -96,8 +131,7 @@ pub fn acquire(
         }
         for reading in &readings {
             if let Err(e) = recorder.scan(reading) {
-                let kind = DeviceErrorKind::Configuration;
-                return lock(monitor).fail(kind, "record", "space on disk", &e.to_string());
+                return lock(monitor).fail_with(disk(&e));
             }
         }
         let mut monitor = lock(monitor);
@@ -125,6 +159,7 @@ pub fn run(
         step: 0,
         trajectory: None,
         last: StageReading::default(),
+        stands_mm: None,
         unsettled: 0,
         fault: Fault::Elsewhere,
         progress,
@@ -134,8 +169,8 @@ pub fn run(
     let ending = match result {
         Ok(()) => Ending::Finished,
         Err(cause) => {
-            let stage_stopped = sweep.make_safe(&cause);
-            Ending::Stopped { cause, stage_stopped }
+            let stage = sweep.make_safe(&cause);
+            Ending::Stopped { cause, stage }
         }
     };
     let counts = lock(sweep.bench.monitor).counts();

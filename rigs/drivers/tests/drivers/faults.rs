@@ -69,9 +69,9 @@ fn judge(fault: Fault, extra: &str, outcome: Outcome, k: usize) {
     let (bench, dir, recorded) = run(fault, extra, 4 + k % 3, k.is_multiple_of(2));
     let warnings = recorded.warnings();
     match (outcome, &recorded.sweep.ending) {
-        (Outcome::Stops(kind), Ending::Stopped { cause, stage_stopped }) => {
+        (Outcome::Stops(kind), Ending::Stopped { cause, stage }) => {
             assert_eq!(cause.kind, kind, "{fault:?} in run {k}: {cause}");
-            assert!(*stage_stopped, "{fault:?} in run {k}: the stop was not confirmed");
+            assert!(stage.stands(), "{fault:?} in run {k}: the stop was not confirmed");
             assert_eq!(recorded.exit_code(), 1);
         }
         (Outcome::Survives, Ending::Finished) => {
@@ -165,8 +165,8 @@ fn a_stage_that_stays_busy_stops_the_sweep() {
 fn a_flood_stops_the_sweep_and_one_that_ends_does_not() {
     for fault in [Fault::AlertFlood { on: true }, Fault::ForeignFlood { on: true }] {
         let (bench, dir, recorded) = run(fault, "", 4, true);
-        let Ending::Stopped { cause, stage_stopped } = &recorded.sweep.ending else { panic!("{fault:?}") };
-        assert_eq!((cause.kind, *stage_stopped, recorded.exit_code()), (Kind::Timeout, false, 1), "{cause}");
+        let Ending::Stopped { cause, stage } = &recorded.sweep.ending else { panic!("{fault:?}") };
+        assert_eq!((cause.kind, stage.stands(), recorded.exit_code()), (Kind::Timeout, false, 1), "{cause}");
         assert!(cause.to_string().contains("none among"), "{cause}");
         assert_eq!(bench.true_stage().1, 0.0, "{fault:?}");
         assert!(!rows(&dir.path().join("session")).rows.is_empty());
@@ -296,7 +296,7 @@ fn a_stage_that_cannot_be_reached_is_reported_as_not_stopped() {
         },
     )
     .unwrap();
-    let Ending::Stopped { cause, stage_stopped } = &recorded.sweep.ending else { panic!("{recorded:?}") };
-    assert_eq!((cause.kind, *stage_stopped, recorded.exit_code()), (Kind::Disconnected, false, 1));
+    let Ending::Stopped { cause, stage } = &recorded.sweep.ending else { panic!("{recorded:?}") };
+    assert_eq!((cause.kind, stage.stands(), recorded.exit_code()), (Kind::Disconnected, false, 1));
     assert!(!rows(&order.folder).rows.is_empty());
 }

@@ -16,6 +16,7 @@ mod keeps_time {
     mod faults;
     mod fuzz_short;
     mod interrogators;
+    mod kept_safe;
     mod stage;
     mod sweep;
     mod vendor_client;

@@ -2,7 +2,7 @@
 //! `cargo run --example hidden_sweeps -- FIRST COUNT FOLDER`. The program sees `session/`, `readings.csv`, `base.csv` and `object.stl`:
 //!
 //! ```text
-//! wcal import readings.csv --kind sweep --motion base.csv --object object.stl --object-pose 0,0,0,1,0,0,0 --simulated --out sweep
+//! wcal import readings.csv --kind sweep --motion base.csv --object object.stl --object-pose 0,0,0,1,0,0,0 --out sweep
 //! wcal verify session --sweep sweep --out verify
 //! wcal track sweep --calibration verify/calibration.json --out track.csv
 //! ```

@@ -302,6 +302,7 @@ impl SweepCase {
             );
             let _ = writeln!(truth, "{k},{:.6},{place},{:.6},{:.6}", r.t_s, r.moment_nmm[0], r.moment_nmm[1]);
         }
+        put(&folder.join("SIMULATED"), "")?;
         put(&folder.join("readings.csv"), &readings)?;
         put(&folder.join("base.csv"), &base)?;
         put(&folder.join("truth.csv"), &truth)?;

@@ -9,6 +9,7 @@ use crate::monitor::Monitor;
 use crate::plan::{Plan, Step};
 use crate::recorder::Recorder;
 use crate::reduce::{Reduction, recordings, reduce};
+use crate::reference::check;
 use crate::replay_interrogator::ReplayInterrogator;
 use crate::rig::Rig;
 use crate::run_file::{RUN_FORMAT, RunFile, RunOutcome};
@@ -23,7 +24,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::Interrupt;
-use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Stage};
+use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Permission, Stage};
 use wcal_core::files::write_atomic;
 use wcal_core::provenance::sha256_hex;
 use wcal_core::rig_devices::{DeviceOpener, InterrogatorRig};
@@ -147,6 +148,8 @@ pub fn record(
         Some(motor) => motor.as_mut(),
         None => manual,
     };
+    let allowed = Permission { home: request.home, clear_flags: request.home && request.resume };
+    check(stage.as_mut(), mount, &steps, allowed)?;
     let (about, simulated) = describe(request, &rig, &plan, identities, &mut begun)?;
     let earlier = recordings(&request.folder);
     let number = earlier.len() + 1;
@@ -191,7 +194,7 @@ pub fn record(
             interrupt,
             pause,
         };
-        let report = run(bench, &rig, &plan, &steps, &skip, request.home, progress);
+        let report = run(bench, &rig, &plan, &steps, &skip, allowed, progress);
         done.store(true, Ordering::SeqCst);
         report
     });

@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, StageReading};
+use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, Permission, StageReading};
 
 /// Pause of those who record until the sweep has heard of an interrupt.
 pub(crate) const INTERRUPTED: Duration = Duration::from_millis(10);
@@ -107,14 +107,14 @@ pub fn acquire(
     let _ = interrogator.stop();
 }
 
-/// Carries out `steps`, leaving out those in `skip`. `home`: search the reference first where there is none.
+/// Carries out `steps`, leaving out those in `skip`; `allowed`: what the user allows before the first move.
 pub fn run(
     bench: SweepBench<'_>,
     rig: &Rig,
     plan: &Plan,
     steps: &[Step],
     skip: &BTreeSet<u32>,
-    home: bool,
+    allowed: Permission,
     progress: &mut dyn FnMut(&Progress),
 ) -> SweepReport {
     let mut sweep = Sweep {
@@ -130,7 +130,7 @@ pub fn run(
         progress,
     };
     let mut done = 0;
-    let result = sweep.prepare(home).and_then(|()| sweep.all_steps(steps, skip, &mut done));
+    let result = sweep.prepare(allowed).and_then(|()| sweep.all_steps(steps, skip, &mut done));
     let ending = match result {
         Ok(()) => Ending::Finished,
         Err(cause) => {

@@ -9,6 +9,8 @@
 )]
 
 mod common;
+mod tap;
+mod tapped;
 /// `make test` runs these before all others in the machine's favour, and those beside them with `--skip keeps_time::`.
 #[path = "."]
 mod keeps_time {

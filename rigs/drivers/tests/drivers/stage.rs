@@ -8,7 +8,8 @@ use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceErrorKind, Stage};
 use wcal_drivers::bench::{VirtualBench, faults::Fault, scenario::Scenario};
 use wcal_drivers::zaber::units::Microsteps;
-use wcal_drivers::zaber::{Chain, Port, ZaberBinary, ZaberStage};
+use wcal_drivers::zaber::wire::{Connect, connect};
+use wcal_drivers::zaber::{BinaryLine, Chain, Port, ZaberBinary, ZaberStage};
 
 const UNIT: Microsteps = Microsteps { size_um: 0.047_625 };
 
@@ -17,8 +18,25 @@ fn bench(extra: &str) -> VirtualBench {
     VirtualBench::start(Scenario::parse(&text).unwrap(), None).unwrap()
 }
 
+fn system() -> Connect {
+    Rc::new(connect)
+}
+
+fn chain(port: &Port) -> Chain {
+    Chain::open(port, &Interrupt::default(), &system()).unwrap()
+}
+
+fn tcp_port(bench: &VirtualBench) -> Port {
+    Port::Tcp(bench.addresses().stage_tcp.to_string())
+}
+
 fn tcp(bench: &VirtualBench) -> ZaberStage {
-    on(Chain::open(&Port::Tcp(bench.addresses().stage_tcp.to_string()), &Interrupt::default()).unwrap())
+    on(chain(&tcp_port(bench)))
+}
+
+fn binary(bench: &VirtualBench) -> ZaberBinary {
+    let line = BinaryLine::open(&tcp_port(bench), 1, &Interrupt::default(), &system()).unwrap();
+    ZaberBinary::new(Rc::new(RefCell::new(line)), UNIT, HostClock::start(10.0)).unwrap()
 }
 
 fn on(chain: Chain) -> ZaberStage {
@@ -43,11 +61,7 @@ fn an_unreferenced_stage_is_refused_homed_and_then_moves() {
     for path in ["tcp", "pty"] {
         let mut stage = match path {
             "tcp" => tcp(&bench),
-            _ => on(Chain::open(
-                &Port::Serial(bench.addresses().stage_pty.clone(), 115_200),
-                &Interrupt::default(),
-            )
-            .unwrap()),
+            _ => on(chain(&Port::Serial(bench.addresses().stage_pty.clone(), 115_200))),
         };
         if path == "tcp" {
             assert_eq!(stage.start_move(5.0, 7.0).unwrap_err().kind, DeviceErrorKind::NotHomed);
@@ -111,11 +125,9 @@ fn lost_corrupt_split_doubled_and_noisy_replies_are_survived() {
 fn a_late_reply_answers_its_own_question_alone() {
     for protocol in ["ascii", "binary"] {
         let bench = bench(&format!("[stage]\nprotocol = \"{protocol}\""));
-        let address = Port::Tcp(bench.addresses().stage_tcp.to_string());
-        let (clock, never) = (HostClock::start(10.0), Interrupt::default());
         let mut stage: Box<dyn Stage> = match protocol {
             "ascii" => Box::new(tcp(&bench)),
-            _ => Box::new(ZaberBinary::open(&address, 1, UNIT, clock, &never).unwrap()),
+            _ => Box::new(binary(&bench)),
         };
         stage.start_home().unwrap();
         settle(stage.as_mut());
@@ -136,11 +148,9 @@ fn a_late_reply_answers_its_own_question_alone() {
 fn floods_end_with_the_deadline_in_both_protocols() {
     for protocol in ["ascii", "binary"] {
         let bench = bench(&format!("[stage]\nprotocol = \"{protocol}\"\n{HOMED}"));
-        let address = Port::Tcp(bench.addresses().stage_tcp.to_string());
-        let (clock, never) = (HostClock::start(10.0), Interrupt::default());
         let mut stage: Box<dyn Stage> = match protocol {
             "ascii" => Box::new(tcp(&bench)),
-            _ => Box::new(ZaberBinary::open(&address, 1, UNIT, clock, &never).unwrap()),
+            _ => Box::new(binary(&bench)),
         };
         for on in [|on| Fault::AlertFlood { on }, |on| Fault::ForeignFlood { on }] as [fn(bool) -> Fault; 2] {
             bench.inject(on(true));
@@ -171,21 +181,20 @@ fn a_pulled_cable_is_a_disconnection_and_a_power_cut_loses_the_reference() {
 #[test]
 fn the_speed_of_the_line_is_found() {
     let bench = bench("[stage]\nbaud = 9600");
-    let (chain, baud) = Chain::probe(&bench.addresses().stage_pty, &Interrupt::default()).unwrap();
+    let probe = |bench: &VirtualBench| {
+        Chain::probe(&bench.addresses().stage_pty, 1, &Interrupt::default(), &system())
+    };
+    let (chain, baud) = probe(&bench).unwrap();
     assert_eq!(baud, 9600);
     assert!(on(chain).identity().is_ok());
     let deaf = self::bench("[stage]\nbaud = 19200");
-    assert_eq!(
-        Chain::probe(&deaf.addresses().stage_pty, &Interrupt::default()).unwrap_err().kind,
-        DeviceErrorKind::Timeout
-    );
+    assert_eq!(probe(&deaf).unwrap_err().kind, DeviceErrorKind::Timeout);
 }
 
 #[test]
 fn a_binary_stage_homes_moves_and_names_its_stall() {
     let bench = bench("[stage]\nprotocol = \"binary\"");
-    let port = Port::Tcp(bench.addresses().stage_tcp.to_string());
-    let mut stage = ZaberBinary::open(&port, 1, UNIT, HostClock::start(10.0), &Interrupt::default()).unwrap();
+    let mut stage = binary(&bench);
     assert_eq!(stage.identity().unwrap().serial, "67890");
     assert_eq!(stage.start_move(5.0, 7.0).unwrap_err().kind, DeviceErrorKind::NotHomed);
     stage.start_home().unwrap();

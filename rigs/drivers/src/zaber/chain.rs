@@ -398,3 +398,48 @@ impl Chain {
 fn shown(command: &str) -> &str {
     if command.is_empty() { "poll" } else { command }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::zaber::wire::ByteLink;
+    use std::io;
+    use std::rc::Rc;
+
+    /// A line on which every command is answered as this unit and axis would.
+    #[derive(Debug)]
+    struct AnswersAs(u8, u8, Vec<u8>);
+
+    impl ByteLink for AnswersAs {
+        fn send(&mut self, bytes: &[u8], _: &Deadline) -> io::Result<usize> {
+            let command = crate::bench::ascii::parse(bytes.trim_ascii_end());
+            let id = command.and_then(|c| c.id).unwrap_or(0);
+            self.2 = format!("@{:02} {} {id:02} OK IDLE -- 5\r\n", self.0, self.1).into_bytes();
+            Ok(bytes.len())
+        }
+
+        fn receive(&mut self, into: &mut [u8], _: &Deadline) -> io::Result<usize> {
+            let count = into.len().min(self.2.len());
+            into[..count].copy_from_slice(&self.2[..count]);
+            self.2.drain(..count);
+            if count == 0 { Err(io::ErrorKind::TimedOut.into()) } else { Ok(count) }
+        }
+    }
+
+    fn asked(as_unit: (u8, u8), of: (u8, u8)) -> Result<Answer, DeviceError> {
+        let connect: Connect = Rc::new(move |_, _| Ok(Box::new(AnswersAs(as_unit.0, as_unit.1, Vec::new()))));
+        let place = Port::Tcp("test".to_owned());
+        Chain::open(&place, &Interrupt::default(), &connect)?.ask(of.0, of.1, "get pos")
+    }
+
+    #[test]
+    fn a_reply_of_another_unit_or_axis_is_no_reply() {
+        for (as_unit, of) in [((2, 1), (1, 1)), ((1, 2), (1, 1)), ((1, 1), (1, 0)), ((7, 0), (0, 0))] {
+            let why = asked(as_unit, of).unwrap_err();
+            assert_eq!(why.kind, DeviceErrorKind::Timeout, "{as_unit:?} for {of:?}: {why}");
+        }
+        for own in [(1, 1), (1, 0), (3, 2)] {
+            assert_eq!(asked(own, own).unwrap().data, "5", "control: {own:?}");
+        }
+    }
+}

@@ -136,9 +136,16 @@ impl Tap {
         self.bench.state().world().units[0].axis.at(t_s).0
     }
 
-    /// `maxspeed` of a unit (index: 0 the stage), mm/s.
-    pub fn speed_mm_s(&self, index: usize) -> f64 {
-        self.bench.state().world().units[index].axis.speed_mm_s()
+    /// `maxspeed` of a unit (index: 0 the stage), as the unit counts it.
+    pub fn speed_data(&self, index: usize) -> i64 {
+        let axis = &self.bench.state().world().units[index].axis;
+        match self.protocol {
+            StageProtocol::Ascii => axis.spec.unit.speed_data(axis.speed_mm_s()),
+            // 9.375 microsteps a second.
+            StageProtocol::Binary => {
+                (axis.speed_mm_s() * 1e3 / axis.spec.unit.size_um / 9.375).round() as i64
+            }
+        }
     }
 
     /// The bench behind it.

@@ -67,9 +67,9 @@ fn moves(commands: &[Command], unit: u8) -> Vec<&Command> {
     commands.iter().filter(motion).collect()
 }
 
-/// Speeds of stage and mount, mm/s.
-fn speeds(tap: &Tap) -> [f64; 2] {
-    [0, 1].map(|index| tap.speed_mm_s(index))
+/// Speeds of stage and mount.
+fn speeds(tap: &Tap) -> [i64; 2] {
+    [0, 1].map(|index| tap.speed_data(index))
 }
 
 #[test]
@@ -81,7 +81,7 @@ fn the_mount_moves_only_where_the_stage_is_retracted() {
     let commands = tap.commands();
     let of_mount = moves(&commands, 2);
     assert_eq!(of_mount.first().unwrap().order, Order::Home, "it had no reference");
-    assert_eq!(of_mount.len(), 3, "and two trajectories");
+    assert_eq!(of_mount.len(), 4, "one for the sync move, and two trajectories");
     for command in of_mount {
         assert!((command.stage_mm - RETRACTED_MM).abs() < STEP_MM && !command.stage_moves, "{command:?}");
     }
@@ -229,7 +229,7 @@ fn a_binary_stage_is_homed_and_runs_a_whole_sweep() {
         let never = Interrupt::default();
         record(order, &mut tap.devices(&never), &mut ByHand(turned.clone()), &never, &mut pause, &mut |_| {})
     };
-    let before = tap.speed_mm_s(0);
+    let before = tap.speed_data(0);
     let unhomed = RecordRequest { home: false, ..order.clone() };
     let why = go(&unhomed).unwrap_err().to_string();
     assert!(why.contains("`--home` searches it") && !order.folder.exists(), "{why}");
@@ -237,8 +237,8 @@ fn a_binary_stage_is_homed_and_runs_a_whole_sweep() {
     finished(&go(&order).unwrap());
     let commands = tap.commands();
     assert_eq!(moves(&commands, 1)[0].order, Order::Home);
-    assert_eq!((rows(&order.folder).rows.len(), *turned.lock().unwrap()), (3, 1));
-    assert!(!tap.is_moving() && tap.speed_mm_s(0) == before);
+    assert_eq!((rows(&order.folder).rows.len(), *turned.lock().unwrap()), (3, 2), "once for the sync move");
+    assert!(!tap.is_moving() && tap.speed_data(0) == before);
     // It says that it has been homed: the next sweep needs no `--home`.
     let told = commands.len();
     order.folder = folder.path().join("again");

@@ -5,7 +5,7 @@ mod scene;
 use anyhow::{Context, Result};
 use clap::Args;
 use scene::{BenchScene, ScenePath};
-use std::io::BufRead;
+use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -75,6 +75,12 @@ pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
             Ok(fault) => bench.inject(fault),
             Err(e) => eprintln!("virtual-bench: {e}"),
         }
+    }
+    // In the background its input is closed or empty from the start: the bench would be gone without a word.
+    if !std::io::stdin().is_terminal() {
+        eprintln!(
+            "virtual-bench: its input closed, so it ends; without a terminal keep its input open: sleep infinity | wcal virtual-bench ..."
+        );
     }
     if let Some(behind_s) = bench.fell_behind_s() {
         let speed = bench.addresses().speed;

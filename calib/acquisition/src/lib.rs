@@ -24,6 +24,7 @@ pub mod record;
 pub mod recorder;
 pub mod reduce;
 mod reduction;
+mod reference;
 pub mod replay;
 pub mod replay_interrogator;
 pub mod rig;

@@ -104,6 +104,10 @@ impl Stage for LimitedStage {
         self.open()?.read()
     }
 
+    fn clear_flags(&mut self) -> Result<Vec<String>, DeviceError> {
+        self.open()?.clear_flags()
+    }
+
     fn stop(&mut self) -> Result<(), DeviceError> {
         self.open()?.stop()
     }

@@ -11,6 +11,8 @@ use wcal_core::device::{DeviceError, DeviceErrorKind, Stage};
 /// Attempts to reach a lost stage again to stop it, and the longest time for them.
 const REACH: u32 = 5;
 const SAFE: Duration = Duration::from_secs(5);
+/// Pause before each.
+const REOPEN: Duration = Duration::from_millis(100);
 
 impl Sweep<'_, '_, '_> {
     /// Stops the stage whatever happened, names the cause in the recording, and retracts where that is safe. A second interrupt ends the
@@ -39,7 +41,7 @@ impl Sweep<'_, '_, '_> {
             if stopped || deadline.is_over() {
                 break;
             }
-            deadline.pause(Duration::from_millis(100));
+            (self.bench.pause)(REOPEN);
             // A serial port is locked by whoever holds it open: the old link goes first.
             self.bench.stage.close();
             if let Ok(stage) = (self.bench.reopen)() {
@@ -81,7 +83,7 @@ impl Sweep<'_, '_, '_> {
                 if !moving {
                     return StageEnd::Retracted;
                 }
-                deadline.pause(POLL_MOVING);
+                (self.bench.pause)(POLL_MOVING);
             }
         }
         // Refused, lost, or interrupted once more: it must not go on alone.

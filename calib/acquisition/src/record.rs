@@ -10,6 +10,7 @@ use crate::monitor::Monitor;
 use crate::plan::{Plan, Step};
 use crate::recorder::Recorder;
 use crate::reduce::{Reduction, recordings, reduce};
+use crate::reference::check;
 use crate::replay_interrogator::ReplayInterrogator;
 use crate::rig::Rig;
 use crate::run_file::{RUN_FORMAT, RunFile, RunOutcome};
@@ -25,7 +26,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::Interrupt;
-use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount};
+use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Permission};
 use wcal_core::files::write_atomic;
 use wcal_core::provenance::sha256_hex;
 use wcal_core::rig_devices::{DeviceOpener, InterrogatorRig};
@@ -151,6 +152,8 @@ pub fn record(
         Some(motor) => motor.as_mut(),
         None => manual,
     };
+    let allowed = Permission { home: request.home, clear_flags: request.home && request.resume };
+    check(stage.as_mut(), mount, &steps, allowed)?;
     let (about, simulated) = describe(request, &rig, &plan, identities, &mut begun)?;
     let earlier = recordings(&request.folder);
     let number = earlier.len() + 1;
@@ -198,7 +201,7 @@ pub fn record(
             interrupt,
             pause,
         };
-        let report = run(bench, &rig, &plan, &steps, &skip, request.home, progress);
+        let report = run(bench, &rig, &plan, &steps, &skip, allowed, progress);
         drop(ended);
         // A thread that panicked has been a fault of the sweep: what was recorded is kept.
         for thread in std::iter::once(reader).chain(watcher) {

@@ -102,6 +102,9 @@ impl Rig {
         if !(low >= 0.0 && low < high && high <= s.travel_mm + 1e-6) {
             return fail("stage.soft_limits_mm", "two positions within the travel", format!("{low}, {high}"));
         }
+        if let Some((field, expected, found)) = addresses_that_clash(s, &rig.mount) {
+            return fail(field, expected, found);
+        }
         for whisker in rig.interrogator.whiskers() {
             for name in ["fbg_1", "fbg_2"] {
                 if rig.interrogator.grating_of(whisker, name).is_none() {
@@ -156,6 +159,30 @@ impl Rig {
     pub fn trajectory(&self, id: u32) -> Option<&TrajectoryRig> {
         self.trajectory.iter().find(|t| t.id == id)
     }
+}
+
+/// The highest address of a unit on an ASCII chain.
+const ASCII_ADDRESSES: u8 = 99;
+
+/// What is wrong with the addresses of stage and mount: field, expected, found.
+fn addresses_that_clash(stage: &StageRig, mount: &MountRig) -> Option<(&'static str, &'static str, String)> {
+    let ascii = stage.driver != "zaber-binary";
+    if ascii && stage.address > ASCII_ADDRESSES {
+        return Some(("stage.address", "a whole number between 1 and 99", stage.address.to_string()));
+    }
+    let MountRig::Zaber { address, .. } = mount else { return None };
+    if !ascii {
+        let expected = "kind = \"manual\" beside a stage with driver zaber-binary";
+        return Some(("mount.kind", expected, "zaber".to_owned()));
+    }
+    if *address > ASCII_ADDRESSES {
+        return Some(("mount.address", "a whole number between 1 and 99", address.to_string()));
+    }
+    // The mount is axis 1 of its unit: its turns would drive the stage.
+    (*address == stage.address && stage.axis == 1).then(|| {
+        let found = format!("[stage] address = {}, axis = 1 and [mount] address = {address}", stage.address);
+        ("mount.address", "another unit or axis than the stage's", found)
+    })
 }
 
 #[cfg(test)]
@@ -226,6 +253,41 @@ shear_gpa = 28.2
         assert_eq!(rig.grating("fbg_1").unwrap().nominal_nm, 1541.2);
         let error = Rig::parse("rig.toml", &more(1542.0)).unwrap_err().to_string();
         assert!(error.contains("do not overlap") && error.contains("fbg_1 of b"), "{error}");
+    }
+
+    const MOUNT: &str = "[mount]\nkind = \"zaber\"\naddress = 2\nsteps_per_trajectory = 10000\nmicrostep_um = 0.1\nspeed_mm_s = 20\n[interrogator]";
+
+    /// What is meant for one unit or axis must reach no other.
+    #[test]
+    fn broadcasts_and_two_entries_of_one_axis_are_refused() {
+        let with_mount = RIG.replace("[interrogator]", MOUNT);
+        let parse = |from: &str, to: &str| Rig::parse("rig.toml", &with_mount.replace(from, to));
+        for (from, to) in
+            [("", ""), ("address = 2", "address = 3"), ("[stage]", "[stage]\naxis = 2\naddress = 2")]
+        {
+            assert!(parse(from, to).is_ok(), "control: {to}");
+        }
+        for (from, to, words) in [
+            (
+                "[stage]",
+                "[stage]\naddress = 0",
+                "stage.address: expected a whole number between 1 and 254, found 0",
+            ),
+            ("[stage]", "[stage]\naxis = 0", "stage.axis: expected a whole number between 1 and 9, found 0"),
+            (
+                "address = 2",
+                "address = 0",
+                "mount.address: expected a whole number between 1 and 254, found 0",
+            ),
+            ("[stage]", "[stage]\naddress = 100", "stage.address: expected a whole number between 1 and 99"),
+            ("address = 2", "address = 100", "mount.address: expected a whole number between 1 and 99"),
+            ("address = 2", "address = 1", "found [stage] address = 1, axis = 1 and [mount] address = 1"),
+            ("[stage]", "[stage]\naddress = 2", "[stage] address = 2, axis = 1 and [mount] address = 2"),
+            ("zaber-ascii", "zaber-binary", "mount.kind: expected kind = \"manual\""),
+        ] {
+            let error = parse(from, to).unwrap_err().to_string();
+            assert!(error.contains(words), "{words}: {error}");
+        }
     }
 
     #[test]

@@ -12,7 +12,7 @@ use std::collections::BTreeSet;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 use wcal_core::deadline::{Deadline, Interrupt, move_allowance};
-use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Stage, StageReading};
+use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Permission, Stage, StageReading};
 
 /// Pause between stage polls while it moves, and while it stands.
 pub(crate) const POLL_MOVING: Duration = Duration::from_millis(4);
@@ -24,8 +24,6 @@ const MIN_COVERED: f64 = 0.5;
 const WINDOWS: usize = 5;
 /// Longest wait for the pair of a pose after its averaging window (wall time).
 const PICTURE: Duration = Duration::from_secs(3);
-/// A reference search is allowed a move over this many travels: it is slow at its end, and may begin with the wrong direction.
-const HOME_TRAVELS: f64 = 4.0;
 /// A wait by the device's clock may take this many times its length, and a margin (wall): a slower clock counts nothing any more.
 const SLOW_TIMES: f64 = 10.0;
 const SLOW_MARGIN: Duration = Duration::from_secs(30);
@@ -97,20 +95,9 @@ pub(crate) struct Sweep<'b, 'r, 'p> {
 }
 
 impl Sweep<'_, '_, '_> {
-    /// Reference, stream, and a safe place before the first move toward the wire.
-    pub(crate) fn prepare(&mut self, home: bool) -> Result<(), DeviceError> {
-        match self.bench.stage.read() {
-            Err(e) if e.kind == DeviceErrorKind::NotHomed && home => {
-                let started = self.bench.stage.start_home();
-                self.of_stage(started)?;
-                let rig = &self.rig.stage;
-                self.until_standing("search the reference", HOME_TRAVELS * rig.travel_mm, rig.speed_mm_s)?;
-            }
-            reading => {
-                let reading = self.of_stage(reading)?;
-                self.note(reading)?;
-            }
-        }
+    /// Reference, stream, a safe place before the first move toward the wire, and there the mount.
+    pub(crate) fn prepare(&mut self, allowed: Permission) -> Result<(), DeviceError> {
+        self.reference(allowed)?;
         let start = Instant::now();
         while lock(self.bench.monitor).device_s().is_none() {
             self.tick(POLL_STANDING)?;
@@ -120,7 +107,8 @@ impl Sweep<'_, '_, '_> {
             }
         }
         self.event(&SweepEvent { kind: "start".to_owned(), ..SweepEvent::default() })?;
-        self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)
+        self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)?;
+        self.bench.mount.prepare(allowed)
     }
 
     /// Every step that is not done yet, then back from the wire.
@@ -313,7 +301,12 @@ impl Sweep<'_, '_, '_> {
     }
 
     /// Waits for the end of a motion, for as long as one of this way and speed may take: a stage that stays BUSY has failed.
-    fn until_standing(&mut self, action: &str, way_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError> {
+    pub(crate) fn until_standing(
+        &mut self,
+        action: &str,
+        way_mm: f64,
+        speed_mm_s: f64,
+    ) -> Result<(), DeviceError> {
         let allowed = move_allowance(way_mm, speed_mm_s, self.rig.clock_scale);
         let deadline = Deadline::after(allowed, self.bench.interrupt);
         loop {
@@ -399,7 +392,7 @@ impl Sweep<'_, '_, '_> {
     }
 
     /// Remembers that it was the stage that failed.
-    fn of_stage<T>(&mut self, done: Result<T, DeviceError>) -> Result<T, DeviceError> {
+    pub(crate) fn of_stage<T>(&mut self, done: Result<T, DeviceError>) -> Result<T, DeviceError> {
         if done.as_ref().is_err_and(|e| e.kind != DeviceErrorKind::Interrupted) {
             self.fault = Fault::Stage;
         }

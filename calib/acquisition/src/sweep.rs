@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, StageReading};
+use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, Permission, StageReading};
 
 /// Pause of those who record until the sweep has heard of an interrupt.
 pub(crate) const INTERRUPTED: Duration = Duration::from_millis(10);
@@ -109,10 +109,20 @@ pub fn acquire(
     done: &AtomicBool,
 ) {
     let _watched = Watched(monitor);
-    let mut heard = Instant::now();
-    if let Err(e) = interrogator.start() {
-        return lock(monitor).fail_with(e);
+    if let Err(e) = interrogator.start().and_then(|()| stream(interrogator, monitor, recorder, done)) {
+        lock(monitor).fail_with(e);
     }
+    // The recording is complete; a unit that does not confirm the end changes nothing.
+    let _ = interrogator.stop();
+}
+
+fn stream(
+    interrogator: &mut dyn Interrogator,
+    monitor: &Mutex<Monitor>,
+    recorder: &Recorder,
+    done: &AtomicBool,
+) -> Result<(), DeviceError> {
+    let mut heard = Instant::now();
     while !done.load(Ordering::SeqCst) {
         let readings = match interrogator.read(Duration::from_millis(100)) {
             Ok(readings) => readings,
@@ -121,34 +131,31 @@ pub fn acquire(
                 std::thread::sleep(INTERRUPTED);
                 continue;
             }
-            Err(e) => return lock(monitor).fail_with(e),
+            Err(e) => return Err(e),
         };
         if !readings.is_empty() {
             heard = Instant::now();
         } else if heard.elapsed() > SILENCE {
-            let found = format!("silence for {} s", SILENCE.as_secs());
-            return lock(monitor).fail(DeviceErrorKind::Timeout, "read the stream", "scans", &found);
+            let (kind, found) = (DeviceErrorKind::Timeout, format!("silence for {} s", SILENCE.as_secs()));
+            return Err(DeviceError::new(kind, "interrogator", "read the stream", "scans", found));
         }
         for reading in &readings {
-            if let Err(e) = recorder.scan(reading) {
-                return lock(monitor).fail_with(disk(&e));
-            }
+            recorder.scan(reading).map_err(|e| disk(&e))?;
         }
         let mut monitor = lock(monitor);
         readings.iter().for_each(|r| monitor.take(r));
     }
-    // The recording is complete; a unit that does not confirm the end changes nothing.
-    let _ = interrogator.stop();
+    Ok(())
 }
 
-/// Carries out `steps`, leaving out those in `skip`. `home`: search the reference first where there is none.
+/// Carries out `steps`, leaving out those in `skip`; `allowed`: what the user allows before the first move.
 pub fn run(
     bench: SweepBench<'_>,
     rig: &Rig,
     plan: &Plan,
     steps: &[Step],
     skip: &BTreeSet<u32>,
-    home: bool,
+    allowed: Permission,
     progress: &mut dyn FnMut(&Progress),
 ) -> SweepReport {
     let mut sweep = Sweep {
@@ -165,7 +172,7 @@ pub fn run(
         progress,
     };
     let mut done = 0;
-    let result = sweep.prepare(home).and_then(|()| sweep.all_steps(steps, skip, &mut done));
+    let result = sweep.prepare(allowed).and_then(|()| sweep.all_steps(steps, skip, &mut done));
     let ending = match result {
         Ok(()) => Ending::Finished,
         Err(cause) => {

@@ -26,6 +26,30 @@ pub fn meaning(flag: &str) -> Option<(DeviceErrorKind, &'static str)> {
     })
 }
 
+/// Whether a unit keeps a flag until `warnings clear`: what it tells of is over, and somebody has to look first.
+#[must_use]
+pub fn is_latched(flag: &str) -> bool {
+    ["FS", "FE", "WS", "WM", "WL"].contains(&flag)
+}
+
+/// Who must do what about a flag, as the end of a sentence; empty where it goes by itself.
+#[must_use]
+pub fn remedy(flag: &str) -> &'static str {
+    match flag {
+        "WR" | "WH" => "; `--home` searches the reference, and moves to the home switch",
+        "FD" | "FO" => "; find out why, switch the unit off and on, then `--home`",
+        "FF" => "; switch the unit off and on; if it comes back, ask the maker",
+        other if is_latched(other) => {
+            "; the unit keeps this flag: look at it and free what blocks it, then `--home --resume SESSION` clears the flag and \
+             searches the reference anew"
+        }
+        other if other.starts_with('F') => {
+            "; look it up in the maker's protocol manual, then switch the unit off and on"
+        }
+        _ => "",
+    }
+}
+
 /// The first flag of a list that forbids measuring. While homing a missing reference is no obstacle.
 #[must_use]
 pub fn worst(flags: &[String], homing: bool) -> Option<(&str, DeviceErrorKind, &'static str)> {

@@ -1,12 +1,11 @@
 //! What must hold however a sweep ends: limits, a stage that stands, each pose once, tables of what was measured.
 
-use crate::common::{NoMount, PLAN, bench, go, order, rows};
+use crate::common::{Disk, NoMount, PLAN, bench, go, mount, order, rows};
 use std::collections::BTreeSet;
 use std::io::Write;
 use std::net::TcpStream;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
-use std::process::Command;
 use std::time::Duration;
 use wcal_acquisition::record::{RecordRequest, RecordResult, record};
 use wcal_acquisition::replay::{Message, read};
@@ -207,33 +206,11 @@ fn a_row_during_which_the_stage_moved_is_left_out_and_said() {
     assert_eq!(left_out(), (5, true));
 }
 
-fn mount(arguments: &[&str]) {
-    assert!(Command::new("mount").args(arguments).status().unwrap().success(), "needs root: {arguments:?}");
-}
-
-/// A disk of its own; unmounted when dropped.
-struct Disk(tempfile::TempDir);
-
-impl Disk {
-    fn of(size: &str) -> Self {
-        let dir = tempfile::tempdir().unwrap();
-        mount(&["-t", "tmpfs", "-o", &format!("size={size}"), "tmpfs", dir.path().to_str().unwrap()]);
-        Self(dir)
-    }
-}
-
-impl Drop for Disk {
-    fn drop(&mut self) {
-        // Lazily: a recording may still be open where an assertion failed.
-        let _ = Command::new("umount").arg("-l").arg(self.0.path()).status();
-    }
-}
-
 #[test]
 fn a_full_disk_is_named_the_wire_is_free_and_what_was_measured_is_in_the_tables() {
     let (bench, disk) = (bench(""), Disk::of("700k"));
     let long = PLAN.replace("dwell_s = 0.3", "dwell_s = 2.0");
-    let request = order(&bench, &long, disk.0.path());
+    let request = order(&bench, &long, disk.path());
     let recorded = go(&request).unwrap();
     let Ending::Stopped { cause, stage } = &recorded.sweep.ending else { panic!("{recorded:?}") };
     let said = cause.to_string();
@@ -243,7 +220,7 @@ fn a_full_disk_is_named_the_wire_is_free_and_what_was_measured_is_in_the_tables(
     let tables = recorded.reduction.unwrap();
     assert!(tables.rows > 0 && rows(&request.folder).rows.len() == tables.rows, "{tables:?}");
     // With room on the disk it goes on.
-    mount(&["-o", "remount,size=50m", disk.0.path().to_str().unwrap()]);
+    mount(&["-o", "remount,size=50m", disk.path().to_str().unwrap()]);
     let again = go(&RecordRequest { resume: true, ..request.clone() }).unwrap();
     assert_eq!(again.sweep.ending, Ending::Finished);
     each_pose_once(&request.folder);

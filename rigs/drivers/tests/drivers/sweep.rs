@@ -127,8 +127,9 @@ fn nothing_moves_when_the_plan_leaves_the_limits_or_the_reference_is_missing() {
     let wide = order(&bench, &PLAN.replace("3.0]", "30.0]"), dir.path());
     assert!(go(&wide).unwrap_err().to_string().contains("stage position"));
     let unreferenced = RecordRequest { home: false, ..order(&bench, PLAN, &dir.path().join("b")) };
-    let recorded = go(&unreferenced).unwrap();
-    assert!(matches!(&recorded.sweep.ending, Ending::Stopped { cause, .. } if cause.kind == Kind::NotHomed));
+    let why = go(&unreferenced).unwrap_err().to_string();
+    assert!(why.contains("`--home` searches the reference") && why.contains("[not-homed]"), "{why}");
+    assert!(!unreferenced.folder.exists());
     assert_eq!(bench.true_stage(), before);
 }
 

@@ -14,7 +14,7 @@ use std::fs::{File, OpenOptions};
 use std::io::BufWriter;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 use wcal_core::device::{CameraFrame, FbgReading, StageReading};
 
@@ -48,6 +48,8 @@ pub struct Recorder {
     images: Mutex<HashMap<String, Channel<CompressedImage>>>,
     pace: Mutex<Pace>,
     path: PathBuf,
+    /// The first failure to write: those after it only say that there was one.
+    failed: OnceLock<String>,
 }
 
 /// A WebSocket server of the Foxglove protocol; ends when dropped.
@@ -138,6 +140,7 @@ impl Recorder {
             context,
             file,
             path: path.to_owned(),
+            failed: OnceLock::new(),
         })
     }
 
@@ -274,8 +277,9 @@ impl Recorder {
     /// When the disk does not take it; what was flushed before stays readable.
     pub fn finish(self) -> Result<(), AcquisitionError> {
         let Some((writer, file)) = self.file else { return Ok(()) };
-        writer.close().map_err(|e| not_written(&self.path, &e))?;
-        file.sync_all().map_err(|e| not_written(&self.path, &e))
+        let failed = |e: &dyn std::error::Error| first_failure(&self.path, &self.failed, e);
+        writer.close().map_err(|e| failed(&e))?;
+        file.sync_all().map_err(|e| failed(&e))
     }
 
     /// Writes everything so far to the file.
@@ -283,9 +287,9 @@ impl Recorder {
     /// # Errors
     /// When the disk does not take it.
     pub fn flush(&self) -> Result<(), AcquisitionError> {
-        self.file
-            .as_ref()
-            .map_or(Ok(()), |(writer, _)| writer.flush().map_err(|e| not_written(&self.path, &e)))
+        self.file.as_ref().map_or(Ok(()), |(writer, _)| {
+            writer.flush().map_err(|e| first_failure(&self.path, &self.failed, &e))
+        })
     }
 
     fn keep_pace(&self) -> Result<(), AcquisitionError> {
@@ -304,7 +308,9 @@ impl Recorder {
         };
         self.flush()?;
         match &self.file {
-            Some((_, file)) if sync => file.sync_data().map_err(|e| not_written(&self.path, &e)),
+            Some((_, file)) if sync => {
+                file.sync_data().map_err(|e| first_failure(&self.path, &self.failed, &e))
+            }
             _ => Ok(()),
         }
     }
@@ -326,10 +332,18 @@ pub(crate) fn log_raw<M: McapMessage>(channel: &RawChannel, message: &M, host_s:
     channel.log_with_meta(&message.encode_to_vec(), at(host_s));
 }
 
+fn first_failure(path: &Path, first: &OnceLock<String>, error: &dyn std::error::Error) -> AcquisitionError {
+    AcquisitionError::Recorder(first.get_or_init(|| why(path, error)).clone())
+}
+
 /// Which file was not written, and why: a full disk says so in its own words.
-fn not_written(path: &Path, error: &dyn std::error::Error) -> AcquisitionError {
+fn why(path: &Path, error: &dyn std::error::Error) -> String {
     let causes = std::iter::successors(Some(error), |e| e.source()).map(ToString::to_string);
-    AcquisitionError::Recorder(format!("{}: {}", path.display(), causes.collect::<Vec<_>>().join(": ")))
+    format!("{}: {}", path.display(), causes.collect::<Vec<_>>().join(": "))
+}
+
+fn not_written(path: &Path, error: &dyn std::error::Error) -> AcquisitionError {
+    AcquisitionError::Recorder(why(path, error))
 }
 
 fn broken(error: foxglove::FoxgloveError) -> AcquisitionError {

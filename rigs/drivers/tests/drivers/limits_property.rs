@@ -1,5 +1,5 @@
 //! Random rigs, plans and faults, held against the bytes that the virtual units hear: no command moves the stage past a limit, and no run ends
-//! with the stage moving. `WCAL_PROPERTY_RUNS` says how many runs (20,000 are a few minutes); each is its number's, so that one that fails runs alone.
+//! with the stage moving. Each run is its number's: `WCAL_PROPERTY_FIRST` and `WCAL_PROPERTY_RUNS` say which.
 
 use crate::common::{Disk, NoMount};
 use crate::tap::{Order, Tap, TapFault};
@@ -43,12 +43,12 @@ struct Case {
 fn draw(number: u64) -> Case {
     let mut random = ChaCha8Rng::seed_from_u64(number);
     let mut between = |low: f64, high: f64| (random.random_range(low..high) * 1e3).round() / 1e3;
-    // Limits that often leave no room for a sync move, an approach, or the plan itself.
+    // Limits that sometimes leave no room for a sync move, an approach, or the plan itself.
     let zero = between(5.0, 60.0);
-    let limits_mm = [(zero - between(0.5, 4.0)).max(0.0), zero + between(0.1, 4.0)];
-    let (retract, approach) = (-between(0.1, 3.0), between(0.01, 2.0));
+    let limits_mm = [(zero - between(2.5, 5.0)).max(0.0), zero + between(0.2, 6.0)];
+    let (retract, approach) = (-between(0.1, 3.0), between(0.01, 3.0));
     let speed = between(2.0, 30.0);
-    let depths: Vec<f64> = (0..(between(1.0, 4.0) as usize)).map(|_| between(0.05, 4.0)).collect();
+    let depths: Vec<f64> = (0..(between(1.0, 4.0) as usize)).map(|_| between(0.05, 2.5)).collect();
     let sided = ["direct", "one-sided"][usize::from(between(0.0, 1.0) < 0.5)];
     let binary = between(0.0, 1.0) < 0.3;
     let text = include_str!("../../../virtual/rig.toml");
@@ -153,22 +153,24 @@ fn wrong(case: &Case, tap: &Tap, result: &Result<RecordResult, String>) -> Optio
 
 #[test]
 fn no_byte_moves_the_stage_past_a_limit_and_no_run_ends_with_it_moving() {
-    let runs: u64 = std::env::var("WCAL_PROPERTY_RUNS").map_or(300, |n| n.parse().unwrap());
-    let (dir, small) = (tempfile::tempdir().unwrap(), Disk::of("150k"));
+    let asked = |name: &str| std::env::var(name).ok().map(|n| n.parse::<u64>().unwrap());
+    let (first, runs) =
+        (asked("WCAL_PROPERTY_FIRST").unwrap_or(0), asked("WCAL_PROPERTY_RUNS").unwrap_or(200));
+    let (large, small) = (Disk::of("64m"), Disk::of("150k"));
     // What is drawn on purpose panics: the hook would print each.
     let hook = std::panic::take_hook();
     std::panic::set_hook(Box::new(|_| {}));
     let mut counts = std::collections::BTreeMap::<String, usize>::new();
     let mut failures = Vec::new();
-    for number in 0..runs {
+    for number in first..first + runs {
         let case = draw(number);
         let folder = match case.trouble {
             Trouble::FullDisk => small.path().join("s"),
-            _ => dir.path().join("s"),
+            _ => large.path().join("s"),
         };
         let (tap, interrupt) = (tap(&case), Interrupt::default());
         // Opening and homing are some dozen commands, a short plan some hundreds.
-        let at = (case.at * 400.0) as usize;
+        let at = (case.at * 300.0) as usize;
         let user = interrupt.clone();
         match case.trouble {
             Trouble::Nothing | Trouble::FullDisk => {}

@@ -47,7 +47,7 @@ fn draw(number: u64) -> Case {
     let zero = between(5.0, 60.0);
     let limits_mm = [(zero - between(2.5, 5.0)).max(0.0), zero + between(0.2, 6.0)];
     let (retract, approach) = (-between(0.1, 3.0), between(0.01, 3.0));
-    let speed = between(2.0, 30.0);
+    let speed = between(2.0, 20.0);
     let depths: Vec<f64> = (0..(between(1.0, 4.0) as usize)).map(|_| between(0.05, 2.5)).collect();
     let sided = ["direct", "one-sided"][usize::from(between(0.0, 1.0) < 0.5)];
     let binary = between(0.0, 1.0) < 0.3;

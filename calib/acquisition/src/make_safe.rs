@@ -28,6 +28,8 @@ impl Sweep<'_, '_, '_> {
                 stopped = self.bench.stage.stop().is_ok();
             }
         }
+        // A link that was lost while the mount turned did not stop it.
+        stopped &= self.bench.mount.stop().is_ok();
         let host_s = self.last.clocks.host_s;
         self.bench.recorder.text(host_s, Level::Error, &cause.to_string());
         let detail = format!("{}: {cause}", cause.kind.name());

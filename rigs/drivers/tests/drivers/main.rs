@@ -11,6 +11,7 @@
 mod common;
 mod tap;
 mod tapped;
+mod tapped_faults;
 /// `make test` runs these before all others in the machine's favour, and those beside them with `--skip keeps_time::`.
 #[path = "."]
 mod keeps_time {

@@ -29,7 +29,7 @@ impl Sweep<'_, '_, '_> {
             }
         }
         // A link that was lost while the mount turned did not stop it.
-        stopped &= self.bench.mount.stop().is_ok();
+        let mount_stopped = self.bench.mount.stop().is_ok();
         let host_s = self.last.clocks.host_s;
         self.bench.recorder.text(host_s, Level::Error, &cause.to_string());
         let detail = format!("{}: {cause}", cause.kind.name());
@@ -45,7 +45,7 @@ impl Sweep<'_, '_, '_> {
         if stopped && self.fault == Fault::Elsewhere && cause.kind != DeviceErrorKind::Stalled {
             stopped = self.retract();
         }
-        stopped
+        stopped && mount_stopped
     }
 
     /// Back from the wire after a fault of another device; whether the stage stands at the end.

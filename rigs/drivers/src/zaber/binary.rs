@@ -5,6 +5,7 @@ use super::wire::{Connect, Port, Wire};
 use crate::link::CONNECT;
 use crate::trouble;
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::rc::Rc;
 use std::time::Duration;
 use wcal_core::clock::HostClock;
@@ -127,6 +128,28 @@ impl BinaryLine {
     #[must_use]
     pub fn place(&self) -> &Port {
         &self.place
+    }
+
+    /// Numbers of the units that answer an echo to all.
+    ///
+    /// # Errors
+    /// `Disconnected` or `Interrupted`.
+    pub fn units(&mut self) -> Result<Vec<u8>, DeviceError> {
+        let deadline = Deadline::after(REPLY, &self.interrupt);
+        let own = std::mem::replace(&mut self.number, 0);
+        let sent = self.send(command::ECHO_DATA, 0, &deadline);
+        self.number = own;
+        sent?;
+        let mut units = BTreeSet::new();
+        loop {
+            match self.open_port("echo")?.recv_any() {
+                Ok(message) if message.command() == command::ECHO_DATA => {
+                    units.insert(message.target());
+                }
+                Ok(_) | Err(BinaryError::CommandFailure(_)) => {}
+                Err(_) => return Ok(units.into_iter().collect()),
+            }
+        }
     }
 
     /// Requests that had to be repeated.

@@ -49,7 +49,9 @@ impl Sweep<'_, '_, '_> {
                 stopped = self.bench.stage.stop().is_ok();
             }
         }
-        stopped
+        // A link that was lost while the mount turned did not stop it.
+        let mount_stopped = self.bench.mount.stop().is_ok();
+        stopped && mount_stopped
     }
 
     fn note_stop(&mut self, cause: &DeviceError) {

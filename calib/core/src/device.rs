@@ -254,6 +254,13 @@ pub trait Mount {
     /// # Errors
     /// When it cannot be reached or the user declines.
     fn select(&mut self, trajectory: u32) -> Result<(), DeviceError>;
+    /// Decelerates to standstill, whatever happened before: a link that was lost while it turned stopped nothing.
+    ///
+    /// # Errors
+    /// [`DeviceError`] when the stop could not be confirmed.
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        Ok(())
+    }
 }
 
 /// State bits that an interrogator sends with its data.

@@ -85,11 +85,7 @@ impl Drivers {
         let (DeviceErrorKind::Timeout, Some(chain)) = (why.kind, &self.chain) else { return why };
         match chain.borrow_mut().units() {
             Ok(units) if units.is_empty() => {}
-            Ok(units) => {
-                let list: Vec<String> = units.iter().map(u8::to_string).collect();
-                let found = format!("no unit at address {address} (units that answer: {})", list.join(", "));
-                return wrong(device, "a unit at the rig's address", &found);
-            }
+            Ok(units) => return wrong(device, "a unit at the rig's address", &no_unit(address, &units)),
             Err(_) => return why,
         }
         let place = chain.borrow().place().clone();
@@ -100,6 +96,9 @@ impl Drivers {
 
     /// Nothing answers in ASCII: perhaps in the binary protocol.
     fn silent(&self, why: DeviceError, place: &Port, address: u8) -> DeviceError {
+        if let Err(ended) = self.interrupt.check("stage", "open") {
+            return ended;
+        }
         if why.kind == DeviceErrorKind::Timeout
             && binary::answers(place, address, &self.interrupt, &self.connect)
         {
@@ -113,12 +112,12 @@ impl Drivers {
 
     /// Nothing answers in the binary protocol: perhaps in ASCII.
     fn not_binary(&self, why: DeviceError, rig: &StageRig) -> DeviceError {
-        if why.kind != DeviceErrorKind::Timeout {
-            return why;
+        let (DeviceErrorKind::Timeout, Some(line)) = (why.kind, &self.line) else { return why };
+        let units = line.borrow_mut().units().unwrap_or_default();
+        if !units.is_empty() {
+            return wrong("stage", "a unit at the rig's address", &no_unit(rig.address, &units));
         }
-        if let Some(line) = &self.line {
-            line.borrow_mut().close();
-        }
+        line.borrow_mut().close();
         let opened = match (rig.port.starts_with("tcp://"), rig.baud) {
             (false, None) => {
                 Chain::probe(&rig.port, rig.address, &self.interrupt, &self.connect).map(|(c, _)| c)
@@ -137,6 +136,11 @@ impl Drivers {
 
 fn wrong(what: &str, expected: &str, found: &str) -> DeviceError {
     DeviceError::new(DeviceErrorKind::Configuration, what, "open", expected, found)
+}
+
+fn no_unit(address: u8, there: &[u8]) -> String {
+    let list: Vec<String> = there.iter().map(u8::to_string).collect();
+    format!("no unit at address {address} (units that answer: {})", list.join(", "))
 }
 
 /// Silence in both protocols.
@@ -161,15 +165,18 @@ impl DeviceOpener for Drivers {
     /// Without a baud rate the line's speed is probed. Moves nothing.
     fn stage(&mut self, rig: &StageRig, clock: HostClock) -> Result<Box<dyn Stage>, DeviceError> {
         let unit = Microsteps { size_um: rig.microstep_um };
+        // Who opens again wants to stop it, not to hear why it is silent.
+        let first = self.chain.is_none() && self.line.is_none();
         let mut stage: Box<dyn Stage> = match rig.driver.as_str() {
             "zaber-ascii" => {
-                let chain = self.chain(rig)?;
-                let stage = ZaberStage::new(chain, rig.address, rig.axis, unit, clock);
-                Box::new(stage.map_err(|e| self.absent(e, "stage", rig.address))?)
+                let stage = ZaberStage::new(self.chain(rig)?, rig.address, rig.axis, unit, clock);
+                let why = |e| if first { self.absent(e, "stage", rig.address) } else { e };
+                Box::new(stage.map_err(why)?)
             }
             "zaber-binary" => {
-                let line = self.line(rig)?;
-                Box::new(ZaberBinary::new(line, unit, clock).map_err(|e| self.not_binary(e, rig))?)
+                let stage = ZaberBinary::new(self.line(rig)?, unit, clock);
+                let why = |e| if first { self.not_binary(e, rig) } else { e };
+                Box::new(stage.map_err(why)?)
             }
             other => return Err(wrong("stage", "driver zaber-ascii or zaber-binary", other)),
         };

@@ -235,6 +235,10 @@ impl Mount for OwnMount {
         while self.unit.read()?.moving {}
         Ok(())
     }
+
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        self.unit.stop()
+    }
 }
 
 /// The interrogator, read by a thread of its own.

@@ -5,6 +5,7 @@ use super::wire::{Connect, Port, Wire};
 use crate::link::CONNECT;
 use crate::trouble;
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::rc::Rc;
 use std::time::Duration;
 use wcal_core::clock::HostClock;
@@ -27,7 +28,7 @@ const QUIET: Duration = Duration::from_millis(20);
 const UNKNOWN: i32 = 64;
 /// Error of a unit that did not find its home switch.
 const CANNOT_HOME: i32 = 1;
-/// Their replies come when the motion has ended.
+/// Their replies come when the motion has ended, or not at all on a disturbed line: status and position say the same.
 const MOTIONS: [u8; 4] = [command::HOME, command::MOVE_ABSOLUTE, command::MOVE_RELATIVE, command::STOP];
 /// Firmware, times 100, from which on the home status is a setting of its own; before, it is a bit of the device mode.
 const OWN_HOME_STATUS: i32 = 600;
@@ -47,8 +48,6 @@ pub struct BinaryLine {
     /// Data of the last echo.
     echo: i32,
     repeats: u64,
-    /// Ends of motions that came while something else was waited for: command and data.
-    ended: Vec<(u8, i32)>,
     /// Speed data as found, and whether it was changed since.
     speed: Option<(i32, bool)>,
     failed: bool,
@@ -98,7 +97,6 @@ impl BinaryLine {
             owed: false,
             echo: 0,
             repeats: 0,
-            ended: Vec::new(),
             speed: None,
             failed: false,
         };
@@ -130,6 +128,28 @@ impl BinaryLine {
     #[must_use]
     pub fn place(&self) -> &Port {
         &self.place
+    }
+
+    /// Numbers of the units that answer an echo to all.
+    ///
+    /// # Errors
+    /// `Disconnected` or `Interrupted`.
+    pub fn units(&mut self) -> Result<Vec<u8>, DeviceError> {
+        let deadline = Deadline::after(REPLY, &self.interrupt);
+        let own = std::mem::replace(&mut self.number, 0);
+        let sent = self.send(command::ECHO_DATA, 0, &deadline);
+        self.number = own;
+        sent?;
+        let mut units = BTreeSet::new();
+        loop {
+            match self.open_port("echo")?.recv_any() {
+                Ok(message) if message.command() == command::ECHO_DATA => {
+                    units.insert(message.target());
+                }
+                Ok(_) | Err(BinaryError::CommandFailure(_)) => {}
+                Err(_) => return Ok(units.into_iter().collect()),
+            }
+        }
     }
 
     /// Requests that had to be repeated.
@@ -287,9 +307,9 @@ impl BinaryLine {
             let value = i32::from_le_bytes(message.raw_data());
             match message.command() {
                 _ if message.target() != self.number => passed.others += 1,
-                motion if MOTIONS.contains(&motion) => self.ended.push((motion, value)),
-                // The reply to a reference search that failed, whenever it comes.
-                command::ERROR if value == CANNOT_HOME => self.ended.push((command::ERROR, value)),
+                motion if MOTIONS.contains(&motion) => passed.own += 1,
+                // The reply to a reference search that failed: the home status says so.
+                command::ERROR if value == CANNOT_HOME => passed.own += 1,
                 code => return Ok((code, value)),
             }
         }
@@ -314,7 +334,8 @@ pub struct ZaberBinary {
     commanded_mm: Option<f64>,
     homed: bool,
     homing: bool,
-    stalled: bool,
+    /// Where the last move is to end.
+    target_steps: Option<i64>,
 }
 
 impl ZaberBinary {
@@ -343,7 +364,7 @@ impl ZaberBinary {
             commanded_mm: None,
             homed: false,
             homing: false,
-            stalled: false,
+            target_steps: None,
         };
         stage.homed = stage.is_homed()?;
         Ok(stage)
@@ -354,9 +375,7 @@ impl ZaberBinary {
     }
 
     fn ask(&mut self, code: u8, data: i32) -> Result<i32, DeviceError> {
-        let answer = self.line.borrow_mut().ask(code, data, code);
-        self.hear_of_ends();
-        answer
+        self.line.borrow_mut().ask(code, data, code)
     }
 
     /// Whether the unit says that it has a reference.
@@ -366,22 +385,6 @@ impl ZaberBinary {
             return Ok(line.setting(command::SET_HOME_STATUS)? != 0);
         }
         Ok(line.setting(command::SET_DEVICE_MODE)? & MODE_HOMED != 0)
-    }
-
-    fn hear_of_ends(&mut self) {
-        let ended = std::mem::take(&mut self.line.borrow_mut().ended);
-        for (code, steps) in ended {
-            match code {
-                command::HOME => (self.homing, self.homed) = (false, true),
-                command::ERROR => self.stalled |= self.homing,
-                // This protocol has no stall flag: a move that ends elsewhere did not get there.
-                command::MOVE_ABSOLUTE => {
-                    let target = self.commanded_mm.map(|mm| self.unit.from_mm(mm));
-                    self.stalled = target.is_some_and(|target| target != i64::from(steps));
-                }
-                _ => {}
-            }
-        }
     }
 
     fn not_homed(&self, action: &str) -> DeviceError {
@@ -412,7 +415,7 @@ impl Stage for ZaberBinary {
     }
 
     fn start_home(&mut self) -> Result<(), DeviceError> {
-        (self.homing, self.stalled) = (true, false);
+        (self.homing, self.target_steps) = (true, None);
         self.commanded_mm = Some(0.0);
         self.line.borrow_mut().start(command::HOME, 0)
     }
@@ -431,9 +434,8 @@ impl Stage for ZaberBinary {
         }
         let speed = (speed_mm_s * 1000.0 / self.unit.size_um / SPEED_STEPS).round().max(1.0) as i32;
         self.line.borrow_mut().set_speed(speed)?;
-        self.hear_of_ends();
         self.commanded_mm = Some(self.unit.to_mm(steps as f64));
-        self.stalled = false;
+        self.target_steps = Some(steps);
         self.line.borrow_mut().start(command::MOVE_ABSOLUTE, steps as i32)
     }
 
@@ -442,9 +444,16 @@ impl Stage for ZaberBinary {
         let moving = self.ask(command::RETURN_STATUS, 0)? != 0;
         let steps = self.ask(command::RETURN_CURRENT_POSITION, 0)?;
         let host_s = self.clock.now_s();
-        if self.stalled && !moving {
-            let found = format!("standing at {steps} microsteps");
-            return Err(self.fail(DeviceErrorKind::Stalled, "read position", "the target", &found));
+        if !moving {
+            let searched = std::mem::take(&mut self.homing);
+            if searched {
+                self.homed = self.is_homed()?;
+            }
+            // This protocol has no stall flag: a motion that ends elsewhere did not get there.
+            if searched && !self.homed || self.target_steps.is_some_and(|target| target != i64::from(steps)) {
+                let found = format!("standing at {steps} microsteps");
+                return Err(self.fail(DeviceErrorKind::Stalled, "read position", "the target", &found));
+            }
         }
         if !self.homed && !self.homing {
             return Err(self.not_homed("read position"));
@@ -452,7 +461,7 @@ impl Stage for ZaberBinary {
         Ok(StageReading {
             commanded_mm: self.commanded_mm,
             measured_mm: self.unit.to_mm(f64::from(steps)),
-            moving: moving || self.homing,
+            moving,
             flags: Vec::new(),
             clocks: Clocks { host_s, device_s: None },
         })
@@ -460,13 +469,13 @@ impl Stage for ZaberBinary {
 
     /// The protocol keeps no flag of a stall: whether one was before is not known, and the reference is searched anew.
     fn clear_flags(&mut self) -> Result<Vec<String>, DeviceError> {
-        self.stalled = false;
+        self.target_steps = None;
         Ok(vec!["a stall is not reported".to_owned()])
     }
 
     fn stop(&mut self) -> Result<(), DeviceError> {
         self.homing = false;
-        self.commanded_mm = None;
+        (self.commanded_mm, self.target_steps) = (None, None);
         let mut line = self.line.borrow_mut();
         line.send(command::STOP, 0, &Deadline::whatever_happens(REPLY))?;
         let deadline = Deadline::whatever_happens(HALT);

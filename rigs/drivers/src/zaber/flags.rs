@@ -41,7 +41,7 @@ pub fn remedy(flag: &str) -> &'static str {
         "FF" => "; switch the unit off and on; if it comes back, ask the maker",
         other if is_latched(other) => {
             "; the unit keeps this flag: look at it and free what blocks it, then `--home --resume SESSION` clears the flag and \
-             searches the reference anew"
+             searches the reference anew (so does switching the unit off and on, then `--home`)"
         }
         other if other.starts_with('F') => {
             "; look it up in the maker's protocol manual, then switch the unit off and on"
@@ -71,6 +71,26 @@ mod tests {
         assert_eq!(meaning("FS").unwrap().0, DeviceErrorKind::Stalled);
         assert_eq!(meaning("FZ").unwrap().0, DeviceErrorKind::CriticalFault);
         assert_eq!(meaning("WX").unwrap().0, DeviceErrorKind::Health);
+    }
+
+    #[test]
+    fn every_flag_that_forbids_says_who_must_do_what() {
+        for (flag, word) in [
+            ("WR", "`--home` searches the reference"),
+            ("WH", "`--home` searches the reference"),
+            ("FS", "then `--home --resume SESSION` clears the flag"),
+            ("WS", "then `--home --resume SESSION` clears the flag"),
+            ("FD", "switch the unit off and on"),
+            ("FF", "ask the maker"),
+            ("FZ", "protocol manual"),
+        ] {
+            assert!(remedy(flag).contains(word), "{flag}: {}", remedy(flag));
+            assert_eq!(is_latched(flag), word.contains("--resume"), "{flag}");
+        }
+        // These go when their cause does.
+        assert!(
+            ["WV", "WT", "NI", "NC", "--"].iter().all(|flag| remedy(flag).is_empty() && !is_latched(flag))
+        );
     }
 
     #[test]

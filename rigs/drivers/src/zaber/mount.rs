@@ -1,6 +1,7 @@
 //! A motorised mount: a second axis on the stage's chain, whose microsteps count trajectories.
 
 use super::chain::Chain;
+use super::check_travel;
 use super::stage::ZaberStage;
 use super::units::Microsteps;
 use std::cell::RefCell;
@@ -13,6 +14,8 @@ use wcal_core::rig_devices::MountRig;
 
 /// Longest reference search of a mount (wall time).
 const HOME: Duration = Duration::from_secs(60);
+/// Farthest that it may stand from its target, microsteps: above the play of a closed loop, below any angle that matters.
+const ARRIVAL_STEPS: i64 = 50;
 /// Pause between polls while it turns.
 const POLL: Duration = Duration::from_millis(5);
 
@@ -42,9 +45,9 @@ impl ZaberMount {
             return Ok(None);
         };
         let unit = Microsteps { size_um: *microstep_um };
-        let mut stage = ZaberStage::new(chain, *address, 1, unit, clock)?;
+        let mut stage = ZaberStage::new(chain, *address, 1, unit, clock).map_err(of_mount)?;
         if let Some(stated_mm) = travel_mm {
-            super::check_travel("mount", *stated_mm, stage.travel_mm()?[1])?;
+            check_travel("mount", *stated_mm, stage.travel_mm()?[1])?;
         }
         Ok(Some(Self {
             stage,
@@ -125,11 +128,14 @@ impl Mount for ZaberMount {
         let allowed = move_allowance(way_mm, self.speed_mm_s, self.clock_scale);
         let found_mm = self.until_standing(allowed).map_err(of_mount)?;
         // A mount that stands elsewhere presents another trajectory.
-        if self.unit.from_mm(found_mm) == self.unit.from_mm(target_mm) {
+        if (self.unit.from_mm(found_mm) - self.unit.from_mm(target_mm)).abs() <= ARRIVAL_STEPS {
             return Ok(());
         }
         let action = format!("turn to trajectory {trajectory}");
         let (expected, found) = (format!("{target_mm:.4} mm"), format!("{found_mm:.4} mm"));
         Err(DeviceError::new(DeviceErrorKind::Stalled, "mount", action, expected, found))
+    }
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        self.stage.stop().map_err(of_mount)
     }
 }

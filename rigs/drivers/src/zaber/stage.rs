@@ -176,7 +176,8 @@ impl Stage for ZaberStage {
     }
 
     fn clear_flags(&mut self) -> Result<Vec<String>, DeviceError> {
-        let shown = listed(&self.ask("warnings clear")?);
+        let shown = listed(&self.ask("warnings")?);
+        self.ask("warnings clear")?;
         Ok(shown.into_iter().filter(|flag| flags::is_latched(flag)).collect())
     }
 

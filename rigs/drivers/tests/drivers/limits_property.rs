@@ -1,5 +1,5 @@
-//! Random rigs, plans and faults, held against the bytes that the virtual units hear: no command moves the stage past a limit, and no run ends
-//! with the stage moving. Each run is its number's: `WCAL_PROPERTY_FIRST` and `WCAL_PROPERTY_RUNS` say which.
+//! Random rigs, plans and faults, held against the bytes that the virtual units hear: no command moves the stage past a limit, no run ends with
+//! the stage moving or a stop unconfirmed, and the units keep the speeds that they had. Each run is its number's: `WCAL_PROPERTY_FIRST` and `WCAL_PROPERTY_RUNS` say which.
 
 use crate::common::{Disk, NoMount};
 use crate::tap::{Order, Tap, TapFault};
@@ -110,6 +110,11 @@ fn tap(case: &Case) -> Tap {
     Tap::new(Scenario::parse(&text).unwrap(), None)
 }
 
+/// Speeds that the units were given.
+fn speeds(case: &Case, tap: &Tap) -> Vec<i64> {
+    (0..if case.binary { 1 } else { 2 }).map(|unit| tap.speed_data(unit)).collect()
+}
+
 fn run(case: &Case, tap: &Tap, folder: &Path, interrupt: &Interrupt) -> Result<RecordResult, String> {
     let request = RecordRequest {
         ask_board: |_| Ok(()),
@@ -136,7 +141,7 @@ fn run(case: &Case, tap: &Tap, folder: &Path, interrupt: &Interrupt) -> Result<R
     }
 }
 
-/// The first wrong thing of a run: a command past a limit, or a stage that moves at the end.
+/// The first wrong thing of a run: a command past a limit, a stage that moves or a stop that is not confirmed at the end, another speed.
 fn wrong(case: &Case, tap: &Tap, result: &Result<RecordResult, String>) -> Option<String> {
     let [low, high] = case.limits_mm;
     let past = |mm: f64| !(low - STEP_MM..=high + STEP_MM).contains(&mm);
@@ -148,7 +153,13 @@ fn wrong(case: &Case, tap: &Tap, result: &Result<RecordResult, String>) -> Optio
     if tap.is_moving() {
         return Some(format!("the stage moves at the end of {result:?}"));
     }
-    None
+    if let Ok(RecordResult { sweep, .. }) = result
+        && matches!(sweep.ending, Ending::Stopped { stage, .. } if !stage.stands())
+    {
+        return Some(format!("the stop is not confirmed: {result:?}"));
+    }
+    let before = speeds(case, &self::tap(case));
+    (speeds(case, tap) != before).then(|| format!("speeds {:?} for {before:?}", speeds(case, tap)))
 }
 
 #[test]

@@ -312,6 +312,20 @@ fn a_unit_that_is_not_there_is_named_with_those_that_are() {
     }
 }
 
+#[test]
+fn a_binary_unit_of_another_number_is_named() {
+    let clock = HostClock::start(10.0);
+    let bench = bench(&format!("[stage]\nprotocol = \"binary\"\n{HOMED}"));
+    let tcp = format!("tcp://{}", bench.addresses().stage_tcp);
+    let rig = |address: &str| {
+        let driver = format!("address = {address}\ndriver = \"zaber-binary\"");
+        stage_rig(&tcp, &[("driver = \"zaber-ascii\"", &driver)])
+    };
+    let why = Drivers::default().stage(&rig("3"), clock).err().unwrap().to_string();
+    assert!(why.contains("found no unit at address 3 (units that answer: 1)"), "{why}");
+    assert!(Drivers::default().stage(&rig("1"), clock).is_ok(), "control");
+}
+
 /// A stage alone at address 5, on a line whose speed is not known: the rig's own address is asked.
 #[test]
 fn probing_asks_the_rigs_own_address() {

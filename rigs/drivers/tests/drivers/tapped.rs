@@ -17,7 +17,7 @@ const RETRACTED_MM: f64 = 18.0;
 /// Half a microstep, mm.
 const STEP_MM: f64 = 2.4e-5;
 
-fn tap(extra: &str) -> Tap {
+pub fn tap(extra: &str) -> Tap {
     let text = format!(
         "format = \"wcal-scenario/1\"\nseed = 4\n[interrogator]\nrate_hz = 500\n[cameras]\ncount = 0\n{extra}"
     );
@@ -25,7 +25,7 @@ fn tap(extra: &str) -> Tap {
 }
 
 /// The rig of `rigs/virtual` without cameras; its ports are not looked at.
-fn rig() -> String {
+pub fn rig() -> String {
     let text = include_str!("../../../virtual/rig.toml");
     let text = text.split("[[camera]]").next().unwrap();
     // Each test has a stage of its own.
@@ -36,7 +36,14 @@ fn rig() -> String {
         .replace("rate_hz = 2000.0", "rate_hz = 500.0")
 }
 
-fn order(rig: &str, folder: &Path) -> RecordRequest {
+/// The same rig with a binary stage, whose mount is turned by hand.
+pub fn binary(rig: &str) -> String {
+    let (head, rest) = rig.split_once("[mount]").unwrap();
+    let (_, rest) = rest.split_once("[interrogator]").unwrap();
+    format!("{head}[interrogator]{rest}").replace("zaber-ascii", "zaber-binary")
+}
+
+pub fn order(rig: &str, folder: &Path) -> RecordRequest {
     RecordRequest {
         ask_board: |_| Ok(()),
         rig: rig.to_owned(),
@@ -62,7 +69,7 @@ fn finished(recorded: &RecordResult) {
     assert_eq!(recorded.exit_code(), 0, "{:?}", recorded.warnings());
 }
 
-fn moves(commands: &[Command], unit: u8) -> Vec<&Command> {
+pub fn moves(commands: &[Command], unit: u8) -> Vec<&Command> {
     let motion = |c: &&Command| c.unit == unit && matches!(c.order, Order::Home | Order::Move(_));
     commands.iter().filter(motion).collect()
 }
@@ -207,14 +214,9 @@ fn after_a_stall_the_message_says_what_to_do_and_home_and_resume_do_it() {
 
 #[test]
 fn a_binary_stage_is_homed_and_runs_a_whole_sweep() {
-    let binary = "[mount]\npresent = false\n[stage]\nprotocol = \"binary\"\n";
-    let rig = |rig: String| {
-        let (head, rest) = rig.split_once("[mount]").unwrap();
-        let (_, rest) = rest.split_once("[interrogator]").unwrap();
-        format!("{head}[interrogator]{rest}").replace("zaber-ascii", "zaber-binary")
-    };
-    let (tap, folder) = (tap(binary), tempfile::tempdir().unwrap());
-    let mut order = order(&rig(self::rig()), folder.path());
+    let scenario = "[mount]\npresent = false\n[stage]\nprotocol = \"binary\"\n";
+    let (tap, folder) = (tap(scenario), tempfile::tempdir().unwrap());
+    let mut order = order(&binary(&rig()), folder.path());
     order.plan = PLAN.replace("trajectories = [1, 5]", "trajectories = [1]");
     struct ByHand(Arc<Mutex<usize>>);
     impl wcal_core::device::Mount for ByHand {

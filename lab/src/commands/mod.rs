@@ -1,0 +1,5 @@
+//! The commands of `wcal-lab`, one file each.
+
+pub mod evaluate;
+pub mod simulate;
+pub mod train;

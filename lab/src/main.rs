@@ -2,12 +2,12 @@
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
-use wcal_lab::commands::{evaluate, simulate, train};
+use wcal_lab::commands::{evaluate, exam, simulate, train};
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Sweeps of the simulated whisker, the contact tracker trained on them, and its scores. All of it is SIMULATED.
+/// Sweeps of the simulated whisker, the contact tracker trained on them, its scores, and the exam of `wcal verify`. All of it is SIMULATED.
 #[derive(Debug, Parser)]
 #[command(name = "wcal-lab", version, arg_required_else_help = true)]
 struct Cli {
@@ -24,6 +24,8 @@ enum Command {
     Train(train::TrainArgs),
     /// Score a trained tracker beside the baselines
     Evaluate(evaluate::EvaluateArgs),
+    /// Examine `wcal verify` on drawn sessions: its verdicts, and what they are worth
+    Exam(exam::ExamArgs),
 }
 
 fn main() -> ExitCode {
@@ -36,6 +38,7 @@ fn main() -> ExitCode {
         Command::Simulate(args) => simulate::run(args),
         Command::Train(args) => train::run(args),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::Exam(args) => exam::run(args),
     };
     wcal::end("wcal-lab", result)
 }

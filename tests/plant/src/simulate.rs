@@ -72,7 +72,7 @@ impl Plant {
     /// Noise-free answers of all rows under `effects`.
     ///
     /// # Errors
-    /// [`PlantError::NoEquilibrium`] when the rod does not settle.
+    /// [`PlantError::Wire`] when the rod does not settle.
     pub fn clean(&mut self, effects: &[Effect]) -> Result<Vec<NoiseFree>, PlantError> {
         let rod: Vec<[f64; 2]> = self.held(effects)?.into_iter().map(|h| h.moment_nmm).collect();
         let mut sensed = rod.clone();
@@ -98,7 +98,7 @@ impl Plant {
     /// The wire in the groove at every loaded row that is settled, under `effects`; none elsewhere.
     ///
     /// # Errors
-    /// [`PlantError::NoEquilibrium`] when the rod does not settle.
+    /// [`PlantError::Wire`] when the rod does not settle.
     pub fn shown(&mut self, effects: &[Effect]) -> Result<Vec<Option<WireAtPose>>, PlantError> {
         let held = self.held(effects)?;
         let geometry = self.geometry(effects);
@@ -163,7 +163,7 @@ impl Plant {
         let nodes = if g.wire.law == crate::rod::MomentLaw::Linear { 11 } else { 20 };
         self.trajectories
             .iter()
-            .map(|t| Table::build(&g.wire, &g.path(t), 1.04 * t.reach_mm + 0.2, &drags, nodes))
+            .map(|t| Ok(Table::build(&g.wire, &g.path(t), 1.04 * t.reach_mm + 0.2, &drags, nodes)?))
             .collect()
     }
 

@@ -62,7 +62,7 @@ fn options() -> anyhow::Result<Options> {
             "--wcal" => o.wcal = value()?.into(),
             "--keep" => o.keep = Some(value()?.into()),
             "--json" => o.json = Some(value()?.into()),
-            other => bail!("unknown option {other}; see the head of rigs/exam/examples/bench_exam/main.rs"),
+            other => bail!("unknown option {other}; see the head of tests/exam/examples/bench_exam/main.rs"),
         }
     }
     Ok(o)

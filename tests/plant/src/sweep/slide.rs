@@ -11,8 +11,8 @@
 //! Sticking is w of the order of e = 4 um: rolling, as it has to be. The contact ends where f < 0.
 
 use super::body::Body;
-use crate::PlantError;
 use crate::rod::Wire;
+use crate::{PlantError, WireError};
 use nalgebra::{SMatrix, SVector, Vector3};
 
 type V3 = Vector3<f64>;
@@ -93,7 +93,7 @@ impl<'a> Slide<'a> {
     /// Moves the base to a place in the world.
     ///
     /// # Errors
-    /// [`PlantError::NoEquilibrium`] where the wire cannot follow: it would snap.
+    /// [`PlantError::Wire`] where the wire cannot follow: it would snap.
     pub fn advance(&mut self, base_mm: &V3) -> Result<(), PlantError> {
         let steps = ((base_mm - self.base_mm).norm() / STEP_MM).ceil().max(1.0) as usize;
         let from = self.base_mm;
@@ -198,7 +198,7 @@ impl<'a> Slide<'a> {
             if g.norm() < SETTLED_MM {
                 return Ok(self.touch_at(&x, base_mm, last));
             }
-            let lost = PlantError::NoEquilibrium { residual: g.norm() };
+            let lost = PlantError::from(WireError::NoEquilibrium { residual: g.norm() });
             let by = match inverse {
                 Some(by) => by,
                 None => {
@@ -234,7 +234,7 @@ impl<'a> Slide<'a> {
             inverse = fast.then_some(by);
             (x, g) = (next, g_next);
         }
-        Err(PlantError::NoEquilibrium { residual: g.norm() })
+        Err(WireError::NoEquilibrium { residual: g.norm() }.into())
     }
 
     fn touch_at(&self, x: &V5, base_mm: &V3, last: &Touch) -> Touch {

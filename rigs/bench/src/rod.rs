@@ -9,7 +9,7 @@
 
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 
-use crate::PlantError;
+use crate::WireError;
 
 type V3 = Vector3<f64>;
 type M3 = Matrix3<f64>;
@@ -202,7 +202,8 @@ impl Wire {
     }
 
     /// Marches from the root to arc length `sigma_mm` under force `force` at `point`; returns position and tangent.
-    pub(crate) fn march(&self, point: &V3, force: &V3, sigma_mm: f64, refine: usize) -> (V3, V3) {
+    #[must_use]
+    pub fn march(&self, point: &V3, force: &V3, sigma_mm: f64, refine: usize) -> (V3, V3) {
         let base = point.cross(force);
         let root = V3::new(0.0, self.root_compliance[0] * base.y, self.root_compliance[1] * base.z);
         let mut frame = helix(&root).0;
@@ -329,14 +330,14 @@ impl Wire {
     /// `start` is a nearby equilibrium; `slope` a Jacobian to try first, replaced by the last one used.
     ///
     /// # Errors
-    /// [`PlantError::NoEquilibrium`] when Newton's iteration does not settle.
+    /// [`WireError::NoEquilibrium`] when Newton's iteration does not settle.
     pub fn solve(
         &self,
         point: &V3,
         drag: f64,
         start: &Equilibrium,
         slope: &mut Option<Matrix4<f64>>,
-    ) -> Result<Equilibrium, PlantError> {
+    ) -> Result<Equilibrium, WireError> {
         let mut x = Vector4::new(start.force_n.x, start.force_n.y, start.force_n.z, start.arclength_mm);
         let mut solutions = [Vector4::zeros(); 2];
         for (slot, refine) in solutions.iter_mut().zip([1, 2]) {
@@ -361,7 +362,7 @@ impl Wire {
         start: Vector4<f64>,
         refine: usize,
         jacobian: &mut Option<Matrix4<f64>>,
-    ) -> Result<Vector4<f64>, PlantError> {
+    ) -> Result<Vector4<f64>, WireError> {
         let mut x = start;
         let mut g = self.residual(point, drag, &x, refine);
         let mut fresh = false;
@@ -376,7 +377,7 @@ impl Wire {
                     self.slope(point, drag, &x, &g, refine)
                 }
             };
-            let inverse = j.try_inverse().ok_or(PlantError::NoEquilibrium { residual: g.norm() })?;
+            let inverse = j.try_inverse().ok_or(WireError::NoEquilibrium { residual: g.norm() })?;
             let mut step = -(inverse * g);
             // A long step leaves the branch: cut it back.
             let long = (step.xyz().norm() / (0.05 + 0.5 * x.xyz().norm())).max(step.w.abs() / 2.0);
@@ -394,7 +395,7 @@ impl Wire {
                 *jacobian = Some(j);
             }
             if fresh && long <= 1.0 && g_next.norm() > 4.0 * g.norm() {
-                return Err(PlantError::NoEquilibrium { residual: g_next.norm() });
+                return Err(WireError::NoEquilibrium { residual: g_next.norm() });
             }
             if fresh && (long > 1.0 || g_next.norm() > 0.1 * g.norm()) {
                 *jacobian = None;
@@ -403,7 +404,7 @@ impl Wire {
             x = next;
             g = g_next;
         }
-        if g.norm() < 1e-8 { Ok(x) } else { Err(PlantError::NoEquilibrium { residual: g.norm() }) }
+        if g.norm() < 1e-8 { Ok(x) } else { Err(WireError::NoEquilibrium { residual: g.norm() }) }
     }
 
     fn slope(

@@ -1,102 +1,85 @@
-//! The exam of `wcal verify`: draws sessions from an independent plant, scores the verdicts, prints the goals.
-//!
-//! `cargo run --release --bin wcal-exam -- --draws N [--wcal PATH] [--seed S] [--jobs 2] [--timeout S]`
-//! `[--follow-up] [--mix MIX] [--only EFFECT] [--json FILE] [--record FILE] [--no-rivals]`
-//! `[--keep DIR] [--write DIR]`
-//!
-//! MIX: `null`, `single`, `pair`, `unknown`, `paper`, `confounded`, `adversarial` (white normal noise, layouts of the practice
-//! sessions); `noise-null`, `noise-single` (every kind of noise, every layout, two wires); `scalar-null`, `scalar-single`
-//! (transducers and axes); `pictures`, `pictures-null`, `without-pictures`, `nominals` (27 approach-only poses that cameras look at, the same without,
-//! and with a wire that is not as declared); `all`.
-//! `--follow-up` makes the measurement that an ambiguous answer asks for and judges the second answer.
-//! The table of goals has the rows for which there are data; below it stands one row a kind of noise.
-//! A goal is met or missed where the 95 % interval lies on one side of it, else open.
-//! `--json FILE` has every session; `--record FILE` what a table quotes: date, commit, command, seed, and the counts of each row.
-//! `--write DIR` only writes the sessions and `truth.json`; `--keep DIR` keeps sessions and results of an exam.
-#![allow(clippy::print_stdout, clippy::print_stderr, reason = "a program talks to its user")]
+//! `wcal-lab exam`: draws sessions from an independent plant, has `wcal verify` judge them, scores the verdicts, prints the goals. SIMULATED.
 
-use std::path::PathBuf;
+use anyhow::Context;
+use clap::Args;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Mutex;
-
-use anyhow::{Context, bail};
 use wcal_exam::orders::MIXES;
 use wcal_exam::{Examiner, Goal, NoiseRow, Order, Outcome, by_noise, clopper_pearson, orders, summarise};
 use wcal_plant::Make;
 
-struct Options {
-    draws: usize,
-    seed: u64,
-    jobs: usize,
-    timeout_s: f64,
-    mix: String,
-    only: Option<String>,
-    rivals: bool,
-    follow_up: bool,
-    wcal: PathBuf,
-    json: Option<PathBuf>,
-    record: Option<PathBuf>,
-    keep: Option<PathBuf>,
-    write: Option<PathBuf>,
+/// Arguments of `wcal-lab exam`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  wcal-lab exam --draws 100
+  wcal-lab exam --mix noise-null --draws 60 --seed 8112 --record noise-null.json
+
+Mixes: null, single, pair, unknown, paper, confounded, adversarial (white normal noise, layouts of the practice sessions); noise-null, noise-single
+(every kind of noise, every layout, two wires); scalar-null, scalar-single (transducers and axes); pictures, pictures-null, without-pictures, nominals
+(27 approach-only poses that cameras look at, the same without, and with a wire that is not as declared); all.
+
+The table of goals has the rows for which there are data; below it stands one row a kind of noise. A goal is met or missed where the 95 %
+interval lies on one side of it, else open. Everything here is SIMULATED.")]
+pub struct ExamArgs {
+    /// Sessions to draw, of each mix
+    #[arg(long, default_value_t = 40)]
+    pub draws: usize,
+    /// Seed of all draws
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Sessions that are judged side by side
+    #[arg(long, default_value_t = 2)]
+    pub jobs: usize,
+    /// Longest time of one judgement, s
+    #[arg(long, value_name = "S", default_value_t = 240.0)]
+    pub timeout: f64,
+    /// What is drawn
+    #[arg(long, default_value = "all", value_parser = MIXES)]
+    pub mix: String,
+    /// Sessions with this effect alone
+    #[arg(long, value_name = "EFFECT")]
+    pub only: Option<String>,
+    /// Draw no sessions in which another effect would explain as much
+    #[arg(long)]
+    pub no_rivals: bool,
+    /// Make the measurement that an ambiguous answer asks for, and judge the second answer
+    #[arg(long)]
+    pub follow_up: bool,
+    /// The program that is examined; the one beside this program without it
+    #[arg(long, value_name = "PROGRAM")]
+    pub wcal: Option<PathBuf>,
+    /// Write every session's outcome
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Write what a table quotes: date, commit, command, seed, and the counts of each row
+    #[arg(long, value_name = "FILE")]
+    pub record: Option<PathBuf>,
+    /// Keep sessions and results in this folder
+    #[arg(long, value_name = "DIR")]
+    pub keep: Option<PathBuf>,
+    /// Only write the sessions and truth.json
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["keep", "json", "record"])]
+    pub write: Option<PathBuf>,
 }
 
-fn options() -> anyhow::Result<Options> {
-    // The program lies beside this one.
-    let beside = std::env::current_exe()?.parent().map(|p| p.join("wcal"));
-    let mut o = Options {
-        draws: 40,
-        seed: 1,
-        jobs: 2,
-        timeout_s: 240.0,
-        mix: "all".into(),
-        only: None,
-        rivals: true,
-        follow_up: false,
-        wcal: beside.unwrap_or_else(|| "target/release/wcal".into()),
-        json: None,
-        record: None,
-        keep: None,
-        write: None,
-    };
-    let mut words = std::env::args().skip(1);
-    while let Some(word) = words.next() {
-        let mut value = || words.next().with_context(|| format!("{word}: expected a value, found the end"));
-        match word.as_str() {
-            "--draws" => o.draws = value()?.parse().context("--draws: expected a number")?,
-            "--seed" => o.seed = value()?.parse().context("--seed: expected a number")?,
-            "--jobs" => o.jobs = value()?.parse().context("--jobs: expected a number")?,
-            "--timeout" => o.timeout_s = value()?.parse().context("--timeout: expected seconds")?,
-            "--mix" => o.mix = value()?,
-            "--only" => o.only = Some(value()?),
-            "--wcal" => o.wcal = value()?.into(),
-            "--json" => o.json = Some(value()?.into()),
-            "--record" => o.record = Some(value()?.into()),
-            "--keep" => o.keep = Some(value()?.into()),
-            "--write" => o.write = Some(value()?.into()),
-            "--follow-up" => o.follow_up = true,
-            "--no-rivals" => o.rivals = false,
-            other => bail!("unknown option {other}; see the head of rigs/exam/src/main.rs"),
-        }
-    }
-    if !MIXES.contains(&o.mix.as_str()) {
-        bail!("--mix: expected one of {}, found {}", MIXES.join(", "), o.mix);
-    }
-    Ok(o)
-}
-
-fn main() -> anyhow::Result<ExitCode> {
-    let o = options()?;
-    let orders = orders(&o.mix, o.draws, o.seed, o.only.as_deref(), o.rivals);
+/// Runs the command.
+///
+/// # Errors
+/// Where a folder cannot be written, or this program's own place is not known.
+pub fn run(o: &ExamArgs) -> anyhow::Result<ExitCode> {
+    let orders = orders(&o.mix, o.draws, o.seed, o.only.as_deref(), !o.no_rivals);
     if let Some(folder) = &o.write {
         return write_only(folder, &orders);
     }
     let scratch = tempfile::tempdir()?;
-    let folder = o.keep.clone().unwrap_or_else(|| scratch.path().to_path_buf());
+    // The program lies beside this one.
+    let beside = std::env::current_exe()?.with_file_name("wcal");
     let examiner = Examiner {
-        program: o.wcal.clone(),
-        folder,
+        program: o.wcal.clone().unwrap_or(beside),
+        folder: o.keep.clone().unwrap_or_else(|| scratch.path().to_path_buf()),
         jobs: o.jobs,
-        timeout_s: o.timeout_s,
+        timeout_s: o.timeout,
         follow_up: o.follow_up,
     };
     let printed = Mutex::new(());
@@ -129,14 +112,14 @@ fn main() -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn write(path: &std::path::Path, document: &serde_json::Value) -> anyhow::Result<()> {
+fn write(path: &Path, document: &serde_json::Value) -> anyhow::Result<()> {
     let text = serde_json::to_string_pretty(document)? + "\n";
     std::fs::write(path, text).with_context(|| format!("writing {}", path.display()))
 }
 
 /// What a table may quote: who drew what when, and hits of trials of each row.
 fn record(
-    o: &Options,
+    o: &ExamArgs,
     drawn: usize,
     table: &[Goal],
     noises: &[NoiseRow],
@@ -155,7 +138,7 @@ fn record(
         "date": jiff::Timestamp::now().strftime("%Y-%m-%d").to_string(),
         "commit": git(&["rev-parse", "--short=10", "HEAD"])?, "changed_since_commit": changed,
         "profile": if cfg!(debug_assertions) { "dev" } else { "release" },
-        "mix": o.mix, "only": o.only, "rivals": o.rivals, "draws": o.draws, "drawn": drawn, "seed": o.seed,
+        "mix": o.mix, "only": o.only, "rivals": !o.no_rivals, "draws": o.draws, "drawn": drawn, "seed": o.seed,
         "noises": noises.iter().map(|n| &n.noise).collect::<Vec<_>>(),
         "rows": rows.map(|g| serde_json::json!({
             "score": g.score, "goal": g.goal, "value": g.value, "bounds": g.bounds, "hits": g.counts.0, "trials": g.counts.1,
@@ -164,7 +147,7 @@ fn record(
     }))
 }
 
-fn write_only(folder: &std::path::Path, orders: &[Order]) -> anyhow::Result<ExitCode> {
+fn write_only(folder: &Path, orders: &[Order]) -> anyhow::Result<ExitCode> {
     let mut truth = serde_json::Map::new();
     for (i, order) in orders.iter().enumerate() {
         let name = format!("case-{:03}", i + 1);

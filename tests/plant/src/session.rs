@@ -19,7 +19,7 @@ use crate::simulate::{NoiseFree, Plant};
 /// Draws a session on the usual wire, with white normal noise.
 ///
 /// # Errors
-/// [`PlantError::NoEquilibrium`] when the rod does not settle for a bench or an amplitude.
+/// [`PlantError::Wire`] when the rod does not settle for a bench or an amplitude.
 pub fn draw(request: &Request) -> Result<Case, PlantError> {
     draw_under(request, Noise::Gaussian, Make::Usual)
 }
@@ -164,7 +164,7 @@ const RESEAT_PM: f64 = 20.0;
 /// The same sensor on another day: the readings that `asked` describes, with a zero of their own.
 ///
 /// # Errors
-/// [`PlantError::NoEquilibrium`] when the rod does not settle.
+/// [`PlantError::Wire`] when the rod does not settle.
 pub fn later(case: &Case, asked: &[Asked]) -> Result<Case, PlantError> {
     let mut rng = ChaCha8Rng::seed_from_u64(case.truth.seed ^ 0x1a7e);
     let mut bench = case.bench.clone();
@@ -342,7 +342,7 @@ impl Case {
     /// of points.csv.
     ///
     /// # Errors
-    /// [`PlantError::NoEquilibrium`] when the rod does not settle.
+    /// [`PlantError::Wire`] when the rod does not settle.
     pub fn under(&self, effects: &[Effect]) -> Result<(Self, Vec<(usize, WireAtPose)>), PlantError> {
         let rows: Vec<PlannedRow> = self.readings.iter().map(|r| r.planned.clone()).collect();
         let mut plant = Plant::new(self.bench.clone(), self.bench.trajectories(), rows, &self.truth.noise);

@@ -5,7 +5,7 @@
 
 use nalgebra::{Matrix4, Vector3};
 
-use crate::PlantError;
+use crate::WireError;
 use crate::rod::{Equilibrium, Wire};
 
 type V3 = Vector3<f64>;
@@ -68,13 +68,13 @@ struct Follower<'a> {
 /// Frictionless equilibrium with the groove at `stage_mm` of a path that reaches to `stage_max_mm`.
 ///
 /// # Errors
-/// [`PlantError::NoEquilibrium`] when the rod does not settle on the way there.
+/// [`WireError::NoEquilibrium`] when the rod does not settle on the way there.
 pub fn equilibrium(
     wire: &Wire,
     path: &Path,
     stage_max_mm: f64,
     stage_mm: f64,
-) -> Result<Equilibrium, PlantError> {
+) -> Result<Equilibrium, WireError> {
     dragged_equilibrium(wire, path, 0.0, stage_max_mm, stage_mm)
 }
 
@@ -88,13 +88,13 @@ pub fn dragged_equilibrium(
     drag: f64,
     stage_max_mm: f64,
     stage_mm: f64,
-) -> Result<Equilibrium, PlantError> {
+) -> Result<Equilibrium, WireError> {
     Follower::start(wire, path, drag, stage_max_mm)?.to(stage_mm)
 }
 
 impl<'a> Follower<'a> {
     /// A little after first touch.
-    fn start(wire: &'a Wire, path: &'a Path, drag: f64, stage_max_mm: f64) -> Result<Self, PlantError> {
+    fn start(wire: &'a Wire, path: &'a Path, drag: f64, stage_max_mm: f64) -> Result<Self, WireError> {
         let stage_mm = 0.08 * stage_max_mm;
         let push = path.offset_mm + path.direction * stage_mm;
         let mut last = wire.touch(path.arclength_mm, &push);
@@ -109,7 +109,7 @@ impl<'a> Follower<'a> {
         Ok(Self { wire, path, drag, last, before: None, slope, stage_mm, step_mm })
     }
 
-    fn to(&mut self, stage_mm: f64) -> Result<Equilibrium, PlantError> {
+    fn to(&mut self, stage_mm: f64) -> Result<Equilibrium, WireError> {
         let mut halvings = 0;
         while self.stage_mm != stage_mm {
             let step = self.step_mm * 0.5f64.powi(halvings);
@@ -151,14 +151,14 @@ impl Table {
     /// Tabulates from first touch to `stage_max_mm`, with `nodes` Chebyshev points a piece.
     ///
     /// # Errors
-    /// [`PlantError::NoEquilibrium`] when the rod does not settle somewhere on the path.
+    /// [`WireError::NoEquilibrium`] when the rod does not settle somewhere on the path.
     pub fn build(
         wire: &Wire,
         path: &Path,
         stage_max_mm: f64,
         drags: &[f64],
         nodes: usize,
-    ) -> Result<Self, PlantError> {
+    ) -> Result<Self, WireError> {
         let start = |drag: f64| Follower::start(wire, path, drag, stage_max_mm);
         let touch_mm = if path.offset_mm == V3::zeros() { 0.0 } else { touch(start(0.0)?, path)? };
         let reach = stage_max_mm - touch_mm;
@@ -220,7 +220,7 @@ impl Table {
 }
 
 /// Stage position where the groove begins to push (force along the direction vanishes).
-fn touch(mut follower: Follower<'_>, path: &Path) -> Result<f64, PlantError> {
+fn touch(mut follower: Follower<'_>, path: &Path) -> Result<f64, WireError> {
     follower.step_mm *= 0.3;
     let push = |e: &Equilibrium| e.force_n.dot(&path.direction);
     let (mut low, mut high) = (follower.stage_mm, follower.stage_mm);
@@ -254,7 +254,7 @@ fn crossing(
     target_mm: f64,
     from: f64,
     to: f64,
-) -> Result<Option<f64>, PlantError> {
+) -> Result<Option<f64>, WireError> {
     let first = follower.path.arclength_mm - target_mm;
     // The contact slides by a few millimetres at most.
     if first.abs() > 6.0 {
@@ -295,8 +295,8 @@ fn chebyshev(
     low: f64,
     high: f64,
     n: usize,
-    mut f: impl FnMut(f64) -> Result<Node, PlantError>,
-) -> Result<Vec<Node>, PlantError> {
+    mut f: impl FnMut(f64) -> Result<Node, WireError>,
+) -> Result<Vec<Node>, WireError> {
     let angle = |i: usize| std::f64::consts::PI * (i as f64 + 0.5) / n as f64;
     let mut values = vec![[0.0; 3]; n];
     for i in (0..n).rev() {

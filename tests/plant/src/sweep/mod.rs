@@ -10,7 +10,7 @@ pub mod slide;
 use crate::bench::Bench;
 use crate::case::{Case, CaseKind, Request, put};
 use crate::layout::Design;
-use crate::{PlantError, session};
+use crate::{PlantError, WireError, session};
 use body::Body;
 use nalgebra::{Rotation3, Vector3};
 use rand::{Rng, RngExt, SeedableRng};
@@ -226,7 +226,7 @@ impl SweepCase {
     /// Draws a sweep.
     ///
     /// # Errors
-    /// [`PlantError::NoEquilibrium`] where no draw is a sweep.
+    /// [`PlantError::Wire`] where no draw is a sweep.
     pub fn draw(seed: u64) -> Result<Self, PlantError> {
         Self::of(seed, |rng| Some(Scene::draw(rng)))
     }
@@ -247,7 +247,7 @@ impl SweepCase {
                 return Ok(Self { seed, rejected, scene, readings });
             }
         }
-        Err(PlantError::NoEquilibrium { residual: f64::INFINITY })
+        Err(WireError::NoEquilibrium { residual: f64::INFINITY }.into())
     }
 
     /// The 27 poses of the same sensor.

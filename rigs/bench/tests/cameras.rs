@@ -1,11 +1,19 @@
 //! The plant's cameras against what they draw: geometry, areas, noise, faults.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test that fails should say where, and one that measures says what it found"
+)]
+
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use wcal_plant::cameras::{
+use wcal_bench::cameras::{
     Appearance, CameraFaults, Groove, Lens, RigGeometry, View, clean, default_pair, exposed, tag_cells,
 };
-use wcal_plant::rod::Wire;
-use wcal_plant::table::{Path, equilibrium};
+use wcal_bench::rod::Wire;
+use wcal_bench::table::{Path, equilibrium};
 
 type V3 = Vector3<f64>;
 

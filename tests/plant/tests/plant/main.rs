@@ -8,7 +8,6 @@
     reason = "a test that fails should say where, and one that measures says what it found"
 )]
 
-mod cameras;
 mod noise;
 mod physics;
 mod sessions;

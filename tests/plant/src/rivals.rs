@@ -124,7 +124,7 @@ fn rivals() -> Vec<(&'static str, Alternatives)> {
 /// The nearest rival of a single effect among the catalogue's other effects, linearised, K and zero free.
 ///
 /// # Errors
-/// [`PlantError::NoEquilibrium`] when a rival's rod does not settle.
+/// [`PlantError::Wire`] when a rival's rod does not settle.
 pub fn nearest(
     plant: &mut Plant,
     own: &str,

@@ -11,8 +11,7 @@ use wcal_core::files::write_atomic;
 #[command(after_help = "Examples:
   wcal init sessions/2026-11-20          a whisker session to fill in
   wcal init --kind rig rigs/bench-1      a rig description
-  wcal init --kind plan plans/paper-27   a measurement plan
-  wcal init --kind sweeps plans/sweeps   a plan of `wcal simulate`, every key with its default")]
+  wcal init --kind plan plans/paper-27   a measurement plan")]
 pub struct InitArgs {
     /// Folder for the templates; files that exist are never overwritten
     pub dir: PathBuf,
@@ -33,8 +32,6 @@ pub enum Template {
     Rig,
     /// plan.toml.
     Plan,
-    /// sweeps.toml of `wcal simulate`.
-    Sweeps,
 }
 
 impl Template {
@@ -46,7 +43,6 @@ impl Template {
             ],
             Self::Rig => &[("rig.toml", include_str!("templates/rig.toml"))],
             Self::Plan => &[("plan.toml", include_str!("templates/plan.toml"))],
-            Self::Sweeps => &[("sweeps.toml", include_str!("templates/sweeps.toml"))],
         }
     }
 }

@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::map_document::MAP_FORMAT;
 use wcal_report::{REPORT_FORMAT, is_page, render_map};
-use wcal_track::model_file::read_card;
 
 /// Arguments of `wcal report`.
 #[derive(Debug, Args)]
@@ -17,21 +16,15 @@ use wcal_track::model_file::read_card;
   wcal verify session --out out
   wcal report out
 
-Nothing is computed: the page comes from report.json (with verify.json where a session was verified), evaluation.json, model.json, fit-gpr.json or
-dynamics.json. The page of `wcal twin --report NAME.html` has its document beside it: wcal report NAME.json.")]
+Nothing is computed: the page comes from report.json (with verify.json where a session was verified), fit-gpr.json or dynamics.json. The page of `wcal twin --report NAME.html` has its document beside it: wcal report NAME.json.")]
 pub struct ReportArgs {
     /// Folder of results, or one document
     pub place: PathBuf,
 }
 
 /// Documents of which a page is made, and the page's name.
-const DOCUMENTS: [(&str, &str); 5] = [
-    ("report.json", "report.html"),
-    ("evaluation.json", "report.html"),
-    ("model.json", "report.html"),
-    ("fit-gpr.json", "report.html"),
-    ("dynamics.json", "dynamics.html"),
-];
+const DOCUMENTS: [(&str, &str); 3] =
+    [("report.json", "report.html"), ("fit-gpr.json", "report.html"), ("dynamics.json", "dynamics.html")];
 
 /// Runs the command.
 ///
@@ -93,16 +86,9 @@ fn pages_again(place: &Path) -> anyhow::Result<Vec<PathBuf>> {
 fn html_of(path: &Path) -> anyhow::Result<String> {
     let text = wcal_core::files::read_text(path)?;
     let document: Value = serde_json::from_str(&text)?;
-    let folder = path.parent().unwrap_or(Path::new("."));
     Ok(match document["format"].as_str() {
         Some(REPORT_FORMAT) => read_page(path)?.render(),
         Some(MAP_FORMAT) => render_map(&serde_json::from_value(document)?),
-        Some(wcal_evaluate::FORMAT) => crate::evaluate::report::page(&document)?,
-        Some(wcal_track::model_file::FORMAT) => crate::train::page(&read_card(folder)?),
-        found => bail!(
-            "format: expected {REPORT_FORMAT}, {MAP_FORMAT}, {} or {}, found {found:?}",
-            wcal_evaluate::FORMAT,
-            wcal_track::model_file::FORMAT
-        ),
+        found => bail!("format: expected {REPORT_FORMAT} or {MAP_FORMAT}, found {found:?}"),
     })
 }

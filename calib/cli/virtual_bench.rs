@@ -9,12 +9,12 @@ use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
+use wcal_bench::rod::Wire;
+use wcal_bench::table::{Path as GroovePath, Table};
 use wcal_drivers::bench::plant::{Plant, rest_arclength_mm};
 use wcal_drivers::bench::scenario::{PlantKind, Scenario};
 use wcal_drivers::bench::scene::Scene;
 use wcal_drivers::bench::{VirtualBench, faults};
-use wcal_plant::rod::Wire;
-use wcal_plant::table::{Path as GroovePath, Table};
 
 /// Arguments of `wcal virtual-bench`.
 #[derive(Debug, Args)]

@@ -15,9 +15,6 @@ mod passed_object;
 mod pictured_session;
 mod report;
 mod several_sessions;
-mod simulate;
-mod simulate_mujoco;
-mod slurm;
 mod stereo;
 mod strokes;
 #[path = "../support/mod.rs"]
@@ -25,7 +22,5 @@ mod strokes;
 mod support;
 mod sweep_import;
 mod sweep_witness;
-mod track;
-mod train;
 mod twin;
 mod witness;

@@ -55,8 +55,6 @@ fn a_page_comes_again_and_documents_that_give_none_are_named() {
     refused("report.json", None, &["report.json", "found none"]);
     refused("verify.json", Some("{"), &["EOF"]);
     refused("verify.json", None, &["verify.json"]);
-    refused("evaluation.json", Some("{\"format\": \"wcal-evaluation/1\"}"), &["methods"]);
-    refused("model.json", Some("{\"format\": \"wcal-model/1\"}"), &["model.json"]);
     refused("fit-gpr.json", Some("{\"format\": \"wcal-map/1\"}"), &["points"]);
 
     let empty = place.path().join("empty");

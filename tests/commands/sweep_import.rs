@@ -6,9 +6,9 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::fmt::Write as _;
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
+use wcal_lab::SweepSeries;
+use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_sim::{Mesh, SweepPlan, objects};
-use wcal_track::SweepSeries;
-use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
 
 /// Shifts by moments, nm/(N mm).
 const K: [[f64; 2]; 2] = [[0.20, 0.03], [-0.02, 0.18]];

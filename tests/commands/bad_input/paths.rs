@@ -28,7 +28,6 @@ fn lines() -> Vec<Vec<&'static str>> {
         "simulate --object can --sweeps 1 --plan @ --out o",
         "simulate --object can --sweeps 1 --whisker @ --out o",
         "train @ --out o",
-        "train --classes @ --sweeps-each 1 --out o",
         "train --whisker @ --sweeps-each 1 --out o",
         "train --meshes @ --sweeps-each 1 --out o",
         "train --from @ --sweeps-each 1 --out o",

@@ -43,8 +43,8 @@ results: program
 	WCAL_WRITE_DOCS=1 cargo test --workspace --locked --test contracts results::
 
 exam: program
-	cargo build --release --locked -p wcal -p wcal-exam --bin wcal --bin wcal-exam
-	./target/release/wcal-exam --draws 100 --mix all --wcal ./target/release/wcal
+	cargo build --release --locked -p wcal -p wcal-lab --bin wcal --bin wcal-lab
+	./target/release/wcal-lab exam --draws 100 --mix all
 
 # Side by side with scipy, scikit-learn, MuJoCo, cv2, mrcal, PyTorch and the stage maker's client in one run each; prints tables and writes
 # peers-*.json. One that fails does not stop the others: its JSON and the exit status say so. YCB=FOLDER of STL files: also the paper's whole

@@ -6,42 +6,27 @@ mod sweep;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind};
 use crate::simulated::word;
-use anyhow::{Context, bail};
+use anyhow::Context;
 use clap::{Args, ValueEnum};
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wcal_contact::sweep_session::PLACED_SD_MM;
 use wcal_core::InputFile;
-use wcal_core::text::Encoding;
 use wcal_session::{Separator, SessionFiles, TextTableLayout, read_text_table, write_session};
 
 /// Arguments of `wcal import`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  wcal import cell.csv --kind transducer --stimulus load_n --response out_v --model linear \\
-      --stimulus-unit N --response-unit V --out sessions/cell
-  wcal import PONTIUS.DAT --skip-lines 25 --whitespace --columns y,x --kind transducer \\
-      --stimulus x --response y --model linear --out sessions/pontius
-  wcal import ballbar.csv --kind axis --commanded cmd_mm --measured laser_um --scale measured_mm=0.001 \\
-      --time t_s --out sessions/axis-x
-  wcal import laser.csv --kind axis --commanded target_mm --error deviation_um --error-unit um --cycle run --out sessions/axis-y
-  wcal import OPTIC.csv bottle_1_action.csv bottle_1.stl --kind whiskerfbg-sweep --out sessions/bottle-1
+  wcal import cell.csv --kind transducer --stimulus load_n --response out_v --model linear --out cell
+  wcal import stage.csv --kind axis --commanded cmd_mm --measured 'laser_um*0.001' --time t_s --out axis-x
 
-  wcal import readings.csv --kind sweep --motion base.csv --object bottle.stl --object-pose 111.8,10.8,-22.5,1,0,0,0 --out sessions/bottle
-
-sweep: READINGS has t_s and the fbg columns; LOG has the poses of the base in the world (the base frame at the start of the sweep).
-whiskerfbg-sweep: the layout of the WhiskerFBG release. OPTIC has a row a sample at 2 kHz with fbg_2, fbg_6 (sensing) and fbg_4 (temperature) in
-nm; ACTION has ind (number of the sample) and py (place of the arm along +x of the release's frame) in m; MESH is the object. Wavelengths go through the
-release's filter (mean of the last 300 samples, zero on samples 1500 to 1700). `wcal track SESSION --model M` then states how far the contacts
-lie from the mesh.")]
+COL is a column of the table; 'COL*FACTOR' multiplies it (t_ms*0.001, way*-1).
+Any column of the session by its name: --covariate groove_x_mm=gx. Errors of an axis, measured less commanded, in place of positions:
+--covariate error_um=deviation (or error_mm, error_in). A file SIMULATED beside the table marks all that is made of it.")]
 pub struct ImportArgs {
     /// Table to import (CSV, or text in columns)
     pub file: PathBuf,
-    /// The arm's log (CSV) and the object's mesh (STL) of a whiskerfbg-sweep
-    #[arg(value_name = "ACTION MESH", num_args = 0..=2)]
-    pub more: Vec<PathBuf>,
     /// Kind of the session
     #[arg(long, value_enum)]
     pub kind: Kind,
@@ -51,25 +36,16 @@ pub struct ImportArgs {
     /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
-    /// Identifier of the session [default: the folder's name]
-    #[arg(long)]
-    pub id: Option<String>,
     /// Log of the base's poses, or of the object's way (sweep): CSV with t_s and base_x_mm .. base_z_mm, or object_x_mm ..
     #[arg(long, value_name = "LOG", required_if_eq("kind", "sweep"))]
     pub motion: Option<PathBuf>,
     /// Mesh of the object (sweep)
     #[arg(long, value_name = "STL")]
     pub object: Option<PathBuf>,
-    /// Standard deviation of the object's place in each coordinate, mm
-    #[arg(long, value_name = "MM", default_value_t = PLACED_SD_MM)]
-    pub object_sd_mm: f64,
     /// Where the mesh of a sweep lies in the frame of the base's poses (the base frame at the start of the sweep): place (mm) and unit
-    /// quaternion; without it the contacts are placed on the mesh by themselves
+    /// quaternion
     #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", value_delimiter = ',', allow_hyphen_values = true)]
     pub object_pose: Option<Vec<f64>>,
-    /// Surrounding medium
-    #[arg(long, default_value = "air")]
-    pub medium: String,
     /// Table of sealed readings with the same layout
     #[arg(long, value_name = "FILE")]
     pub holdout: Option<PathBuf>,
@@ -80,16 +56,16 @@ pub struct ImportArgs {
     /// Column of the response (transducer)
     #[arg(long, value_name = "COL", required_if_eq("kind", "transducer"))]
     pub response: Option<String>,
-    /// Declared model (transducer)
-    #[arg(long, value_enum, required_if_eq("kind", "transducer"))]
-    pub model: Option<Model>,
+    /// Declared model: constant, linear or quadratic (transducer), or a file with [whisker], [fbg], [moments] and [[trajectory]] (whisker)
+    #[arg(long, value_name = "MODEL", value_parser = declared, required_if_eq_any([("kind", "transducer"), ("kind", "whisker")]))]
+    pub model: Option<Declared>,
     /// Unit of the stimulus (transducer)
     #[arg(long, value_name = "UNIT", default_value = "1")]
     pub stimulus_unit: String,
     /// Unit of the response (transducer)
     #[arg(long, value_name = "UNIT", default_value = "1")]
     pub response_unit: String,
-    /// Further covariate (transducer), as COL or NAME=COL; may be repeated
+    /// Further column, as COL or NAME=COL with its name in the session; may be repeated
     #[arg(long = "covariate", value_name = "NAME=COL")]
     pub covariates: Vec<String>,
     /// Column of the commanded position (axis)
@@ -98,15 +74,6 @@ pub struct ImportArgs {
     /// Column of the measured position (axis)
     #[arg(long, value_name = "COL")]
     pub measured: Option<String>,
-    /// Column of the position error, measured less commanded, in place of --measured (axis); a correction is its negative: --scale measured_mm=-1
-    #[arg(long, value_name = "COL", conflicts_with = "measured")]
-    pub error: Option<String>,
-    /// Unit of --error
-    #[arg(long, value_enum, default_value_t = ErrorUnit::Um, requires = "error")]
-    pub error_unit: ErrorUnit,
-    /// Session description with [whisker], [fbg], [moments] and [[trajectory]] (whisker)
-    #[arg(long, value_name = "TOML", required_if_eq("kind", "whisker"))]
-    pub meta: Option<PathBuf>,
 
     /// Column of the time, s
     #[arg(long, value_name = "COL")]
@@ -123,19 +90,9 @@ pub struct ImportArgs {
     /// Column of the repetition; of an axis it is the cycle
     #[arg(long, value_name = "COL")]
     pub replicate: Option<String>,
-    /// Column of the point number [default: the order of the rows]
-    #[arg(long, value_name = "COL")]
-    pub point: Option<String>,
     /// Column of the role [default: every row is "calibration"]
     #[arg(long, value_name = "COL")]
     pub role: Option<String>,
-    /// Any column of the session by its name, e.g. groove_x_mm=gx; may be repeated. Columns of a whisker table that have
-    /// the session's names already need no mapping
-    #[arg(long = "map", value_name = "NAME=COL")]
-    pub map: Vec<String>,
-    /// Factor applied to a column of the session, e.g. t_s=0.001 for milliseconds; may be repeated
-    #[arg(long = "scale", value_name = "NAME=FACTOR")]
-    pub scale: Vec<String>,
 
     /// Lines before the table (25 for NIST Dataplot files, 60 for NIST StRD files)
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -152,12 +109,6 @@ pub struct ImportArgs {
     /// Decimals are written with a comma
     #[arg(long)]
     pub decimal_comma: bool,
-    /// Encoding of the table's text
-    #[arg(long, value_enum, default_value_t = EncodingName::Utf8)]
-    pub encoding: EncodingName,
-    /// The table comes from a simulation: the session and all that is made from it say so
-    #[arg(long)]
-    pub simulated: bool,
     /// Print the result as JSON on stdout
     #[arg(long)]
     pub json: bool,
@@ -174,30 +125,23 @@ pub enum Kind {
     Whisker,
     /// Whisker passing an object along a known motion.
     Sweep,
-    /// Sweep over an object in the layout of the WhiskerFBG release.
-    WhiskerfbgSweep,
 }
 
-/// Unit of a column of position errors.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ErrorUnit {
-    /// Micrometres.
-    Um,
-    /// Millimetres.
-    Mm,
-    /// Inches.
-    In,
+/// What is declared of the instrument.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Declared {
+    /// Law of a transducer.
+    Law(Model),
+    /// File that describes a whisker.
+    Whisker(PathBuf),
 }
 
-impl ErrorUnit {
-    /// Millimetres in one.
-    fn mm(self) -> f64 {
-        match self {
-            Self::Um => 1e-3,
-            Self::Mm => 1.0,
-            Self::In => 25.4,
-        }
+fn declared(text: &str) -> Result<Declared, String> {
+    if text.ends_with(".toml") {
+        return Ok(Declared::Whisker(text.into()));
     }
+    let law = Model::from_str(text, false).map(Declared::Law);
+    law.map_err(|_| format!("expected constant, linear, quadratic, or a file WHISKER.toml, found {text}"))
 }
 
 /// Declared model of a transducer.
@@ -224,20 +168,6 @@ pub enum SeparatorName {
     Whitespace,
 }
 
-/// Name of an encoding on the command line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum EncodingName {
-    /// With or without a byte order mark.
-    #[value(name = "utf-8")]
-    Utf8,
-    /// ISO 8859-1 and Windows-1252.
-    #[value(name = "latin1")]
-    Latin1,
-    /// As spreadsheets write "Unicode text".
-    #[value(name = "utf-16")]
-    Utf16,
-}
-
 fn name_of(value: impl ValueEnum) -> String {
     value.to_possible_value().map(|v| v.get_name().to_owned()).unwrap_or_default()
 }
@@ -257,11 +187,8 @@ const RESULT: ResultKind<'_> = ResultKind {
 /// # Errors
 /// Where the table or the resulting session cannot be used; nothing is written then.
 pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
-    if matches!(args.kind, Kind::Sweep | Kind::WhiskerfbgSweep) {
+    if args.kind == Kind::Sweep {
         return sweep::run(args);
-    }
-    if let Some(more) = args.more.first() {
-        bail!("expected one table, found {} too (--kind whiskerfbg-sweep takes three files)", more.display());
     }
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let layout = layout(args);
@@ -300,7 +227,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
             folder: &args.out,
             simulated: session.simulated,
             rows,
-            holdout_rows: holdout.map_or(0, |h| h.rows.len()),
+            holdout_rows: holdout.as_ref().map_or(0, |h| h.rows.len()),
             columns_left_out: &left_out,
             warnings: &warnings,
             inputs: &session.inputs,
@@ -309,8 +236,11 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     } else {
         println!("{}: {rows} rows, session {:?}{}", args.out.display(), session.id, word(session.simulated));
     }
+    for (source, encoding) in sources.iter().filter_map(|s| Some((s, s.encoding?))) {
+        eprintln!("{}: read as {encoding}", source.file);
+    }
     if !left_out.is_empty() {
-        eprintln!("columns not imported: {}; {}", left_out.join(", "), columns::way_in(args.kind));
+        eprintln!("columns not imported: {}; {}", left_out.join(", "), columns::WAY_IN);
     }
     for warning in &warnings {
         eprintln!("warning: {warning}");
@@ -353,11 +283,6 @@ fn layout(args: &ImportArgs) -> TextTableLayout {
         SeparatorName::Tab => Separator::Tab,
         SeparatorName::Whitespace => Separator::Whitespace,
     };
-    let encoding = match args.encoding {
-        EncodingName::Utf8 => Encoding::Utf8,
-        EncodingName::Latin1 => Encoding::Latin1,
-        EncodingName::Utf16 => Encoding::Utf16,
-    };
     let (columns, skip_lines) = (args.columns.clone(), args.skip_lines);
-    TextTableLayout { skip_lines, columns, separator, encoding, decimal_comma: args.decimal_comma }
+    TextTableLayout { skip_lines, columns, separator, decimal_comma: args.decimal_comma }
 }

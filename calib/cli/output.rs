@@ -266,6 +266,15 @@ pub fn check_new(folder: &Path, otherwise: &str) -> Result<()> {
     writable(folder)
 }
 
+/// Holds a number of the command line between 1 and what a machine can do.
+///
+/// # Errors
+/// Names the option.
+pub fn within(option: &str, found: u64, most: u64) -> Result<()> {
+    ensure!((1..=most).contains(&found), "{option}: expected 1 or more and at most {most}, found {found}");
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]

@@ -148,7 +148,7 @@ fn points(steps: &[Step], rig: &Rig) -> Result<String> {
     let (mut t_s, mut point, mut at_mm) = (0.0, 0_u32, rig.stage.retract_mm);
     for step in steps {
         let (pose, moving): (&Pose, bool) = match step {
-            Step::Soak | Step::Sync => continue,
+            Step::Soak | Step::Sync { .. } => continue,
             Step::Mount { .. } => {
                 (t_s, at_mm) = (t_s + TURN_S, rig.stage.retract_mm);
                 continue;

@@ -36,17 +36,20 @@ fn write(to: &mut impl Write, text: Arguments<'_>) -> io::Result<()> {
 }
 
 /// As of the standard library, without the panic where nobody reads.
+#[macro_export]
 macro_rules! print {
     ($($text:tt)*) => { $crate::printing::to_stdout(format_args!($($text)*)) };
 }
 
 /// See [`print!`].
+#[macro_export]
 macro_rules! println {
     () => { $crate::printing::to_stdout(format_args!("\n")) };
     ($($text:tt)*) => { $crate::printing::to_stdout(format_args!("{}\n", format_args!($($text)*))) };
 }
 
 /// See [`print!`].
+#[macro_export]
 macro_rules! eprintln {
     () => { $crate::printing::to_stderr(format_args!("\n")) };
     ($($text:tt)*) => { $crate::printing::to_stderr(format_args!("{}\n", format_args!($($text)*))) };

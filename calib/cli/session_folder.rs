@@ -1,9 +1,9 @@
 //! The argument SESSION: a folder, not the table that may become one.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use std::fmt::Write as _;
 use std::path::Path;
-use wcal_core::text::{Encoding, decoded, utf8};
+use wcal_core::text::decoded;
 
 /// Columns that an import takes by their names, or that say when or how and not what was measured.
 const BESIDE: &[&str] = &[
@@ -36,19 +36,11 @@ pub fn expect_session(session: &Path, command: &str) -> Result<()> {
         );
     }
     let bytes = wcal_core::files::read(session).with_context(|| format!("reading {shown}"))?;
-    let encodings = [
-        (Encoding::Utf8, ""),
-        (Encoding::Utf16, " --encoding utf-16"),
-        (Encoding::Latin1, " --encoding latin1"),
-    ];
-    let read = encodings.into_iter().find_map(|(e, option)| Some((decoded(&bytes, e).ok()?, option)));
-    let Some((text, encoding)) = read else {
-        bail!("{shown}: {}", utf8(&bytes).err().map_or_else(String::new, |e| e.to_string()));
-    };
+    let (text, _) = decoded(&bytes).map_err(|other| anyhow!("{shown}: {other}"))?;
     let header = text.lines().next().unwrap_or_default();
     bail!(
         "{shown}: expected a session folder, found a file; to make a session of a table use wcal import, e.g.\n  {}\n  wcal {command} {}",
-        import_line(session, header) + encoding,
+        import_line(session, header),
         target(session)
     )
 }
@@ -74,7 +66,7 @@ fn import_line(table: &Path, header: &str) -> String {
     if has("commanded_mm") && has("measured_mm") {
         line += " --kind axis --commanded commanded_mm --measured measured_mm";
     } else if cells.iter().any(|c| c.starts_with("fbg_1_")) {
-        line += " --kind whisker --meta META.toml";
+        line += " --kind whisker --model WHISKER.toml";
     } else {
         let mut values = cells.iter().filter(|c| !headless && !c.is_empty() && !BESIDE.contains(c));
         let mut column = |own: &str, unknown: &str| {

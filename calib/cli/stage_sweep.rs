@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use wcal_acquisition::path_text::{draw, duration_s};
 use wcal_acquisition::plan::Step;
 use wcal_acquisition::record::{RecordRequest, RecordResult, plan_only, record};
-use wcal_acquisition::sweep::{Ending, Progress};
+use wcal_acquisition::sweep::{Ending, Progress, StageEnd};
 use wcal_core::device::{DeviceError, DeviceErrorKind, Mount};
 use wcal_drivers::Drivers;
 use wcal_drivers::bench::in_process::InProcess;
@@ -276,7 +276,7 @@ fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
     let tables = recorded.reduction.as_ref().ok();
     if as_json {
         let stage_stopped = match sweep.ending {
-            Ending::Stopped { stage_stopped, .. } => stage_stopped,
+            Ending::Stopped { stage, .. } => stage.stands(),
             Ending::Finished => true,
         };
         let document = SweepDocument {
@@ -305,8 +305,14 @@ fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
     }
     if let Some(cause) = cause {
         eprintln!("stage-sweep: stopped: {cause}");
-        if let Ending::Stopped { stage_stopped: false, .. } = sweep.ending {
-            eprintln!("stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else");
+        match sweep.ending {
+            Ending::Stopped { stage: StageEnd::Unknown, .. } => {
+                eprintln!("stage-sweep: THE STAGE DID NOT CONFIRM ITS STOP: look at it before anything else");
+            }
+            Ending::Stopped { stage: StageEnd::Stands, .. } => {
+                eprintln!("stage-sweep: the stage stands where it was stopped, perhaps in contact");
+            }
+            _ => eprintln!("stage-sweep: the stage stands, retracted from the wire"),
         }
         eprintln!("go on with the same rig and plan and --resume {}", folder.display());
     }

@@ -5,12 +5,11 @@ mod live;
 mod object;
 mod output;
 mod recorded_motion;
-mod surface;
 mod table;
 
 pub use wcal_contact::trust::filters_for;
 
-use crate::train::burn_device;
+use crate::output::within;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use std::collections::BTreeMap;
@@ -27,7 +26,6 @@ use wcal_contact::trust::{CheckedCalibration, WhiskerModel};
 use wcal_core::CalibrationFile;
 use wcal_core::Purpose;
 use wcal_track::Tracker;
-use wcal_track::classes::of_class;
 use wcal_track::model_file::{load, read_card};
 
 /// Arguments of `wcal track`.
@@ -54,9 +52,8 @@ Status of a row:
   motion-disagrees  moments and motion do not belong together (other wire, reversed, in metres); a message says why
   sliding-assumed   only a contact that slides over the object explains the moments
   motion-lost       the motion is not known at this reading
-  untrained-motion  the network was not trained on this motion (press, hold, reversal)
-  motion-assumed    the motion is not known: two moments cannot tell a press from a sweep. The region holds for any motion; --sweep states
-                    that it is a sweep
+  motion-assumed    the motion is not known to be one that the network was trained on: two moments cannot tell a press from a sweep. The
+                    region holds for any motion; --sweep states that it is a sweep
 
 Where the table or session has groove_x_mm, groove_y_mm and groove_z_mm, the answers are compared with them: RMS error, Cramer-Rao bound
 (physics), coverage of the 95 % regions.
@@ -67,7 +64,7 @@ time: the scan that completed it less the filter's lag. Every scan is tested for
 
 Beside track.csv: track.json (filters, noise, limits, counts, contact intervals) and, for a stream, track-events.csv.
 
-Exit code 3: tracked, with readings lost, dropped or unusable (flagged), or contact in an unknown or untrained motion.
+Exit code 3: tracked, with readings lost, dropped or unusable (flagged), or contact in a motion that the network may not know.
 4: readings outside the valid region (marked), regions that do not hold the known groove, or a calibration or model that cannot be trusted
 (unverified, expired, failed, changed, of another whisker, at another rate). Then nothing is written without --force, and with it every row says so.")]
 pub struct TrackArgs {
@@ -76,7 +73,7 @@ pub struct TrackArgs {
     /// calibration.json of verify; ID=FILE for one of several whiskers
     #[arg(long, value_name = "[ID=]FILE", required = true)]
     pub calibration: Vec<String>,
-    /// Folder of `wcal train`; ID=DIR for one of several whiskers. Not needed where the motion is known
+    /// Folder of `wcal-lab train`; ID=DIR for one of several whiskers. Not needed where the motion is known
     #[arg(long, value_name = "[ID=]DIR")]
     pub model: Vec<String>,
     /// Log of the relative motion of base and object (CSV: t_s and object_x_mm .. object_z_mm, or base_x_mm .. base_z_mm with base_qw ..
@@ -118,9 +115,6 @@ pub struct TrackArgs {
     /// Addresses as `wcal virtual-bench` prints them; they replace those of the rig
     #[arg(long, value_name = "ADDRESSES.json", requires = "rig")]
     pub bench: Option<PathBuf>,
-    /// Class of the touched object: use the errors of this class (`wcal train --classes`)
-    #[arg(long, value_name = "CLASS")]
-    pub object_class: Option<String>,
     /// Speed of the base along +z, where it is constant and known, mm/s
     #[arg(long, value_name = "MM/S")]
     pub base_mm_s: Option<f64>,
@@ -165,9 +159,6 @@ pub struct TrackArgs {
     /// Track with a calibration or model that cannot be trusted (every row says so), or overwrite an unrelated --out
     #[arg(long)]
     pub force: bool,
-    /// Write the contacts as a cloud (-cloud.ply) and the surface through them (-surface.ply) beside the table; needs the base's pose or speed
-    #[arg(long)]
-    pub surface: bool,
     /// Print the summary (track.json) on stdout
     #[arg(long)]
     pub json: bool,
@@ -191,7 +182,7 @@ enum Source {
 /// Where a file or device cannot be used, or a row has no time.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     output::check(&args.out, args.force)?;
-    crate::simulate::within("--queue", args.queue as u64, MAX_QUEUE)?;
+    within("--queue", args.queue as u64, MAX_QUEUE)?;
     check_accuracy(args)?;
     let (source, rig) = source(args)?;
     let names: Vec<String> = match &rig {
@@ -231,7 +222,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
             bail!("{}: {}", one.place().display(), table::NO_ZERO);
         }
     }
-    let trackers = trackers(args, &folders)?;
+    let trackers = trackers(&folders)?;
     let tracker = |name: &str| folders.get(name).and_then(|folder| trackers.get(folder));
     let loaded: Vec<WhiskerModel<'_>> = checked
         .into_iter()
@@ -280,22 +271,13 @@ fn trusted(args: &TrackArgs, checked: &[CheckedCalibration]) -> bool {
 }
 
 /// The networks by their folders.
-fn trackers(args: &TrackArgs, folders: &BTreeMap<String, PathBuf>) -> Result<BTreeMap<PathBuf, Tracker>> {
+fn trackers(folders: &BTreeMap<String, PathBuf>) -> Result<BTreeMap<PathBuf, Tracker>> {
     let mut trackers = BTreeMap::new();
     for folder in folders.values() {
         if trackers.contains_key(folder) {
             continue;
         }
-        let (mut tracker, card) = load(folder, &burn_device())?;
-        tracker.sd_factors = card.sd_factors_of_stream();
-        if let Some(class) = &args.object_class {
-            let own = of_class(&card.sd_factors_by_class, class)
-                .with_context(|| format!("model {}", folder.display()))?;
-            // How a class differs is known from clean sweeps.
-            let [unknown, known] = tracker.sd_factors;
-            let differs = [0, 1].map(|k| own[k] / card.sd_factors[k]);
-            tracker.sd_factors = [unknown.scaled(differs[0]), known.scaled(differs[1])];
-        }
+        let (tracker, _) = load(folder)?;
         trackers.insert(folder.clone(), tracker);
     }
     Ok(trackers)
@@ -409,15 +391,4 @@ fn by_whisker(option: &str, given: &[String], names: &[String]) -> Result<BTreeM
         }
     }
     Ok(all)
-}
-
-/// A cloud needs the pose of the base: checked before anything is written.
-fn refuse_surface(args: &TrackArgs, posed: bool) -> Result<()> {
-    if args.surface && !posed && args.base_mm_s.is_none() {
-        bail!(
-            "--surface: expected the pose of the base (base_x_mm .. base_qz in the table, [base] in the rig) or its speed (--base-mm-s), found \
-             neither"
-        );
-    }
-    Ok(())
 }

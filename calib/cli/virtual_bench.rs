@@ -5,16 +5,16 @@ mod scene;
 use anyhow::{Context, Result};
 use clap::Args;
 use scene::{BenchScene, ScenePath};
-use std::io::BufRead;
+use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
+use wcal_bench::rod::Wire;
+use wcal_bench::table::{Path as GroovePath, Table};
 use wcal_drivers::bench::plant::{Plant, rest_arclength_mm};
 use wcal_drivers::bench::scenario::{PlantKind, Scenario};
 use wcal_drivers::bench::scene::Scene;
 use wcal_drivers::bench::{VirtualBench, faults};
-use wcal_plant::rod::Wire;
-use wcal_plant::table::{Path as GroovePath, Table};
 
 /// Arguments of `wcal virtual-bench`.
 #[derive(Debug, Args)]
@@ -75,6 +75,12 @@ pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
             Ok(fault) => bench.inject(fault),
             Err(e) => eprintln!("virtual-bench: {e}"),
         }
+    }
+    // In the background its input is closed or empty from the start: the bench would be gone without a word.
+    if !std::io::stdin().is_terminal() {
+        eprintln!(
+            "virtual-bench: its input closed, so it ends; without a terminal keep its input open: sleep infinity | wcal virtual-bench ..."
+        );
     }
     if let Some(behind_s) = bench.fell_behind_s() {
         let speed = bench.addresses().speed;

@@ -1,5 +1,5 @@
 //! A small fixed draw of the exam (SIMULATED sessions from the independent plant), so that a change that breaks tracing is seen at once.
-//! The rates themselves need hundreds of draws: `cargo run --release --bin wcal-exam -- --draws 300 --mix all`.
+//! The rates themselves need hundreds of draws: `cargo run --release -p wcal-lab -- exam --draws 300 --mix all`.
 
 use crate::support::PROGRAM;
 use std::path::PathBuf;

@@ -11,10 +11,10 @@ use nalgebra::{DMatrix, DVector, Isometry3, Point3, UnitQuaternion, Vector2, Vec
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Normal, Uniform};
+use wcal_bench::cameras::{Appearance, Groove, RigGeometry, clean, default_pair, exposed};
+use wcal_bench::rod::Wire;
+use wcal_bench::table::{Path as GroovePath, equilibrium};
 use wcal_core::shapes_document::{ErrorColumn, PairDocument, ShapesDocument};
-use wcal_plant::cameras::{Appearance, Groove, RigGeometry, clean, default_pair, exposed};
-use wcal_plant::rod::Wire;
-use wcal_plant::table::{Path as GroovePath, equilibrium};
 use wcal_vision::calibrate::board::board_points;
 use wcal_vision::calibrate::bundle::{BoardView, BundleState, Free, solve};
 use wcal_vision::camera::Camera;

@@ -12,14 +12,14 @@ mod numbers;
 mod paths;
 mod tracking;
 
-use crate::support::{PROGRAM, program};
+use crate::support::{PROGRAM, program_of};
 use broken::{Base, TABLE};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
 fn wcal(folder: &Path, arguments: &[&str]) -> Output {
-    program().args(arguments).current_dir(folder).output().unwrap()
+    program_of(arguments[0]).args(arguments).current_dir(folder).output().unwrap()
 }
 
 /// What is wrong with an outcome, if anything.
@@ -139,7 +139,7 @@ fn every_out_folder_refuses_what_is_not_its_own_result() {
         fs::create_dir(place.path().join("o")).unwrap();
         fs::write(place.path().join("o/thesis.txt"), "mine").unwrap();
         fs::write(place.path().join("file"), "mine").unwrap();
-        let own = format!("wcal {}", arguments[0]);
+        let own = format!(" {}", arguments[0]);
         for (out, says) in [("o", &["thesis.txt", "--force", &own][..]), ("file", &["expected a folder"])] {
             let output = wcal(place.path(), &[*arguments, &["--out", out]].concat());
             if let Err(why) = judge(&output, 1, says) {

@@ -419,12 +419,12 @@ fn a_network_says_so_of_a_base_that_is_too_fast_and_of_poses_that_are_no_numbers
     let by_network =
         |more: &[&str]| bench.track("blind.csv", &[&["--model", MODEL, "--force"][..], more].concat());
     let fast = by_network(&["--base-mm-s", "60"]);
-    let rows = fast.summary["untrained_motion"]["by_motion"]["fast"].as_u64().unwrap_or(0);
-    assert!(rows > 20 && fast.with_status("untrained-motion") as u64 >= rows, "{}", fast.said);
-    assert!(fast.said.contains("fast"), "{}", fast.said);
+    let rows = fast.summary["motion_assumed_rows"].as_u64().unwrap_or(0);
+    assert!(rows > 20 && fast.with_status("motion-assumed") as u64 == rows, "{}", fast.said);
+    assert!(fast.said.contains("marked motion-assumed"), "{}", fast.said);
     // Control: a speed of training.
     let slow = by_network(&["--base-mm-s", "8"]);
-    assert!(slow.summary["untrained_motion"]["by_motion"].get("fast").is_none(), "{}", slow.said);
+    assert_eq!(slow.summary["motion_assumed_rows"], 0, "{}", slow.said);
 
     let table = std::fs::read_to_string(bench.path("blind.csv")).unwrap();
     let posed = |bad: &str| -> String {

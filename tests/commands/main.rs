@@ -14,9 +14,6 @@ mod known_motion;
 mod passed_object;
 mod pictured_session;
 mod several_sessions;
-mod simulate;
-mod simulate_mujoco;
-mod slurm;
 mod stereo;
 mod strokes;
 #[path = "../support/mod.rs"]
@@ -24,7 +21,5 @@ mod strokes;
 mod support;
 mod sweep_import;
 mod sweep_witness;
-mod track;
-mod train;
 mod twin;
 mod witness;

@@ -186,7 +186,6 @@ fn what_is_wrong_with_a_sweep_is_named() {
         path(&at("object.stl")),
         "--object-pose",
         "0,0,0,1,0,0,0",
-        "--simulated",
         "--out",
         path(&at("sweep")),
     ]);

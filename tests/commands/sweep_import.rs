@@ -1,13 +1,14 @@
-//! `wcal import --kind whiskerfbg-sweep` and the track of it, on a record in the release's layout that the rod engine made (SIMULATED).
+//! A record in the layout of the WhiskerFBG release (SIMULATED, made by the rod engine): made into tables by the script of the fixture, imported as a
+//! sweep, tracked and scored against the mesh.
 
 use crate::support::{text, wcal};
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::fmt::Write as _;
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
+use wcal_lab::SweepSeries;
+use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_sim::{Mesh, SweepPlan, objects};
-use wcal_track::SweepSeries;
-use wcal_track::generate_sweeps::{SweepRequest, generate_sweeps};
 
 /// Shifts by moments, nm/(N mm).
 const K: [[f64; 2]; 2] = [[0.20, 0.03], [-0.02, 0.18]];
@@ -100,6 +101,12 @@ fn record(series: &SweepSeries, sign: f64) -> (String, String) {
     (optic, action)
 }
 
+/// The fixture's script.
+fn as_tables(optic: &str, action: &str, out: &Path) -> std::process::Output {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/whiskerfbg_bottle/release_layout.py");
+    std::process::Command::new("python3").arg(script).args([optic, action]).arg(out).output().unwrap()
+}
+
 #[test]
 fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
     let folder = tempfile::tempdir().unwrap();
@@ -119,25 +126,29 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
     let q = (UnitQuaternion::from_matrix(&RELEASE) * at_start.rotation).coords;
     let pose = format!("{},{},{},{},{},{},{}", t.x, t.y, t.z, q.w, q.x, q.y, q.z);
     let by_motion = std::cell::RefCell::new(Vec::new());
-    let score = |name: &str, sign: f64, placed: bool| -> serde_json::Value {
+    let score = |name: &str, sign: f64| -> serde_json::Value {
         let (optic, action) = record(&series[0], sign);
         let files = ["optic", "action"].map(|f| path(&format!("{name}-{f}.csv")));
         std::fs::write(&files[0], optic).unwrap();
         std::fs::write(&files[1], action).unwrap();
         let (session, out) = (path(name), path(&format!("{name}-track.csv")));
-        let import = [
+        assert!(as_tables(&files[0], &files[1], folder.path()).status.success());
+        std::fs::write(path("SIMULATED"), "").unwrap();
+        let run = wcal(&[
             "import",
-            &files[0],
-            &files[1],
-            &path("can.stl"),
+            &path("readings.csv"),
             "--kind",
-            "whiskerfbg-sweep",
-            "--simulated",
+            "sweep",
+            "--motion",
+            &path("base.csv"),
+            "--object",
+            &path("can.stl"),
+            "--object-pose",
+            &pose,
+            "--json",
             "--out",
             &session,
-        ];
-        let more = ["--json", "--object-pose", &pose];
-        let run = wcal(&[&import[..], if placed { &more } else { &more[..1] }].concat());
+        ]);
         assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
         assert!(text(&run.stderr).contains("taken as metres"), "{}", text(&run.stderr));
         let document: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
@@ -168,13 +179,13 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
         by_motion.borrow_mut().push(by_physics);
         summary["object"].clone()
     };
-    let right = score("right", 1.0, true);
+    let right = score("right", 1.0);
     let of = |s: &serde_json::Value, key: &str| s[key].as_f64().unwrap();
     assert!(of(&right, "points") > 20.0 && right["placed_by_points"] == false, "{right}");
     // 0.3 mm of it is the tracker's on clean sweeps; the mean of 300 samples rounds the onset.
     assert!(of(&right, "rmse_mm") < 1.5, "{right}");
     // Control: moments of the other sign are no sweep over this object.
-    let wrong = score("wrong", -1.0, true);
+    let wrong = score("wrong", -1.0);
     assert!(wrong.is_null() || of(&wrong, "rmse_mm") > 3.0 * of(&right, "rmse_mm"), "{right} {wrong}");
     {
         // Without a network: the contact slides over the can, and the motion predicts its moments; with the other sign it does not.
@@ -185,58 +196,25 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
         assert!(slides(&of[0]) && !slides(&of[1]), "{} {}", of[0]["contacts"], of[1]["contacts"]);
         assert!(of[0]["object"]["rmse_mm"].as_f64().unwrap() < 1.5, "{}", of[0]["object"]);
     }
-    // Without its place the mesh is placed by the contacts, which is said.
-    let free = score("free", 1.0, false);
-    assert!(free["placed_by_points"] == true && of(&free, "rmse_mm") < 1.5, "{free}");
 }
 
 #[test]
 fn what_is_no_such_record_is_named_and_nothing_is_written() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let out = path("out");
-    std::fs::write(path("optic.csv"), "fbg_2,fbg_4,fbg_6\n1545,1542,1543\n").unwrap();
-    std::fs::write(path("action.csv"), ",py,ind\n0,0.1,25100\n1,0.11,25200\n2,0.12,25300\n3,0.13,25400\n")
-        .unwrap();
-    std::fs::write(path("thing.stl"), stl(&objects::built_in("can").unwrap())).unwrap();
-    let refused = |files: &[&str], said: &str| {
-        let files: Vec<String> = files.iter().map(|f| path(f)).collect();
-        let files: Vec<&str> = files.iter().map(String::as_str).collect();
-        let run = wcal(&[&["import"], &files[..], &["--kind", "whiskerfbg-sweep", "--out", &out]].concat());
-        assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
-        assert!(text(&run.stderr).contains(said), "{}", text(&run.stderr));
-        assert!(!Path::new(&out).exists());
-    };
-    refused(&["optic.csv", "action.csv", "thing.stl"], "1700 samples");
-    refused(&["optic.csv", "action.csv"], "expected OPTIC.csv ACTION.csv MESH.stl");
     let row = "1545,1542,1543\n";
-    std::fs::write(path("optic.csv"), format!("fbg_2,fbg_4,fbg_6\n{}", row.repeat(26_000))).unwrap();
-    // Millimetres that are called a metre file: a can of 100 m.
-    let metres = stl(&objects::built_in("can").unwrap());
-    let mut large = metres.clone();
-    for corner in large[84..].chunks_exact_mut(50).flat_map(|t| t[12..48].chunks_exact_mut(4)) {
-        let x = f32::from_le_bytes([corner[0], corner[1], corner[2], corner[3]]) * 1e6;
-        corner.copy_from_slice(&x.to_le_bytes());
+    let optic = |rows: usize| format!("fbg_2,fbg_4,fbg_6\n{}", row.repeat(rows));
+    let way = |unit: f64| {
+        (0..4)
+            .map(|k| format!("{},{}\n", unit * (0.1 + 0.01 * f64::from(k)), 25_100 + 100 * k))
+            .collect::<String>()
+    };
+    for (rows, metre, said) in [(1, 1.0, "1700 samples"), (26_000, 1e3, "metres"), (26_000, 1.0, "")] {
+        std::fs::write(path("optic.csv"), optic(rows)).unwrap();
+        std::fs::write(path("action.csv"), format!("py,ind\n{}", way(metre))).unwrap();
+        let run = as_tables(&path("optic.csv"), &path("action.csv"), &folder.path().join("out"));
+        assert_eq!(run.status.success(), said.is_empty(), "{}", text(&run.stderr));
+        assert!(text(&run.stderr).contains(said), "{}", text(&run.stderr));
+        assert_eq!(folder.path().join("out").exists(), said.is_empty());
     }
-    std::fs::write(path("large.stl"), large).unwrap();
-    refused(&["optic.csv", "action.csv", "large.stl"], "large");
-    std::fs::write(path("mm.csv"), ",py,ind\n0,-107,25100\n1,-106,25200\n").unwrap();
-    refused(&["optic.csv", "mm.csv", "thing.stl"], "metres");
-    let run = wcal(&[
-        "import",
-        &path("optic.csv"),
-        &path("action.csv"),
-        &path("thing.stl"),
-        "--kind",
-        "whiskerfbg-sweep",
-        "--out",
-        &out,
-        "--object-pose",
-        "0,0,0,2,0,0,0",
-    ]);
-    assert!(
-        run.status.code() == Some(1) && text(&run.stderr).contains("unit quaternion"),
-        "{}",
-        text(&run.stderr)
-    );
 }

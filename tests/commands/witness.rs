@@ -4,11 +4,11 @@ use crate::support::{code_and_messages, fixture};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;
 use std::path::Path;
-use wcal_plant::cameras::{
+use wcal_bench::cameras::{
     Appearance, CameraFaults, Groove, Lens, RigGeometry, View, clean, default_pair, exposed,
 };
-use wcal_plant::rod::Wire;
-use wcal_plant::table::{Path as GroovePath, equilibrium};
+use wcal_bench::rod::Wire;
+use wcal_bench::table::{Path as GroovePath, equilibrium};
 
 type V3 = Vector3<f64>;
 

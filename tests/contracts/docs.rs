@@ -325,7 +325,7 @@ fn every_key_of_the_files_that_people_write_stands_in_the_reference() {
         "examples/templates/session.toml",
         "examples/templates/rig.toml",
         "examples/templates/plan.toml",
-        "examples/templates/sweeps.toml",
+        "lab/sweeps.toml",
         "rigs/paper/rig.toml",
         "rigs/virtual/rig.toml",
         "rigs/virtual/scenario.toml",

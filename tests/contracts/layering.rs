@@ -14,7 +14,7 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
         "wcal-mujoco" => &["wcal-core", "wcal-rod", "wcal-sim"],
         // A program: wcal speaks to it, nothing depends on it.
         "wcal-mujoco-engine" => &["wcal-mujoco", "wcal-sim"],
-        "wcal-track" => &["wcal-core", "wcal-rod", "wcal-sim", "wcal-map"],
+        "wcal-track" => &["wcal-core", "wcal-rod"],
         "wcal-contact" => &[
             "wcal-core",
             "wcal-session",
@@ -29,10 +29,28 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
         // A device needs its entry of the rig, no session.
         "wcal-drivers" => &["wcal-core"],
         "wcal-calibration" => &["wcal-core", "wcal-session", "wcal-map", "wcal-trace"],
-        "wcal-evaluate" => &["wcal-core", "wcal-sim", "wcal-track", "wcal-calibration", "wcal-plant"],
-        "wcal-plant" => &[],
-        // A program beside `wcal`: nothing that ships has it.
+        // The virtual bench's wire: physics that shares no code with the fitter.
+        "wcal-bench" => &[],
+        // Test support: nothing that ships has it.
+        "wcal-plant" => &["wcal-bench"],
         "wcal-exam" => &["wcal-plant"],
+        // The second program: nothing depends on it.
+        "wcal-lab" => &[
+            "wcal",
+            "wcal-core",
+            "wcal-session",
+            "wcal-acquisition",
+            "wcal-calibration",
+            "wcal-contact",
+            "wcal-map",
+            "wcal-mujoco",
+            "wcal-report",
+            "wcal-rod",
+            "wcal-sim",
+            "wcal-track",
+            "wcal-plant",
+            "wcal-exam",
+        ],
         "wcal" => &[
             "wcal-core",
             "wcal-session",
@@ -47,22 +65,21 @@ fn allowed(name: &str) -> Option<&'static [&'static str]> {
             "wcal-sim",
             "wcal-mujoco",
             "wcal-track",
-            "wcal-evaluate",
             "wcal-contact",
-            // The virtual bench's wire: physics that shares no code with the fitter.
-            "wcal-plant",
+            "wcal-bench",
         ],
         _ => return None,
     })
 }
 
-/// Native libraries, and the one crate that may use each.
-const NATIVE: [(&str, &str); 5] = [
+/// Native and heavy libraries, and the one crate that may use each.
+const NATIVE: [(&str, &str); 6] = [
     ("opencv", "wcal-vision"),
     ("apriltag-sys", "wcal-vision"),
     ("apriltag", "wcal-vision"),
     ("mujoco-rs", "wcal-mujoco-engine"),
-    ("burn", "wcal-track"),
+    ("burn", "wcal-lab"),
+    ("parquet", "wcal-lab"),
 ];
 
 fn violations(graph: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
@@ -82,13 +99,17 @@ fn violations(graph: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
     out
 }
 
-fn graph() -> BTreeMap<String, BTreeSet<String>> {
+fn metadata() -> serde_json::Value {
     let out = Command::new(env!("CARGO"))
         .args(["metadata", "--format-version", "1", "--no-deps"])
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .output()
         .expect("cargo metadata runs");
-    let json: serde_json::Value = serde_json::from_slice(&out.stdout).expect("metadata is JSON");
+    serde_json::from_slice(&out.stdout).expect("metadata is JSON")
+}
+
+fn graph() -> BTreeMap<String, BTreeSet<String>> {
+    let json = metadata();
     let packages = json["packages"].as_array().expect("packages");
     packages
         .iter()
@@ -105,6 +126,35 @@ fn dependencies_point_the_way_of_the_design() {
     let graph = graph();
     assert!(graph.contains_key("wcal-core"), "metadata lists the workspace: {:?}", graph.keys());
     assert_eq!(violations(&graph), Vec::<String>::new());
+}
+
+/// What is reached from these by dependencies of the programs.
+fn reached(graph: &BTreeMap<String, BTreeSet<String>>, from: &[String]) -> BTreeSet<String> {
+    let (mut seen, mut to_do) = (BTreeSet::new(), from.to_vec());
+    while let Some(name) = to_do.pop() {
+        if seen.insert(name.clone()) {
+            to_do.extend(graph.get(&name).into_iter().flatten().cloned());
+        }
+    }
+    seen
+}
+
+/// `cargo build` makes what a user of a bench runs: no tensor library, no Parquet, no test support.
+#[test]
+fn the_default_build_has_nothing_of_the_lab() {
+    let (graph, json) = (graph(), metadata());
+    let packages = json["packages"].as_array().expect("packages");
+    let members = json["workspace_default_members"].as_array().expect("default members");
+    let names = packages.iter().filter(|p| members.contains(&p["id"])).filter_map(|p| p["name"].as_str());
+    let names: Vec<String> = names.map(str::to_owned).collect();
+    assert_eq!(names, ["wcal", "wcal-mujoco-engine"]);
+    let foreign = ["wcal-lab", "wcal-plant", "wcal-exam", "burn", "parquet"];
+    let of = |names: &[String]| {
+        let all = reached(&graph, names);
+        foreign.into_iter().filter(|name| all.contains(*name)).collect::<Vec<_>>()
+    };
+    assert_eq!(of(&names), Vec::<&str>::new());
+    assert_eq!(of(&["wcal-lab".to_owned()]), foreign, "negative control");
 }
 
 #[test]
@@ -146,7 +196,7 @@ fn every_command_of_the_peers_refers_to_something_that_exists() {
     let all: serde_json::Value = serde_json::from_slice(&listed.stdout).expect("JSON");
     let all: std::collections::BTreeMap<String, Vec<Vec<String>>> =
         serde_json::from_value(all).expect("commands");
-    let manifests: Vec<std::path::PathBuf> = ["calib", "rigs", "tests", "calib/mujoco"]
+    let manifests: Vec<std::path::PathBuf> = ["calib", "rigs", "tests", "calib/mujoco", "."]
         .iter()
         .flat_map(|d| std::fs::read_dir(root.join(d)).expect("a folder"))
         .map(|entry| entry.expect("an entry").path())
@@ -202,7 +252,7 @@ fn opened(source: &str) -> Vec<&str> {
 #[test]
 fn every_path_is_opened_in_one_place() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut folders = vec![root.join("calib"), root.join("rigs/drivers/src")];
+    let mut folders = ["calib", "lab/src", "rigs/drivers/src"].map(|d| root.join(d)).to_vec();
     let (mut seen, mut wrong) = (0, Vec::new());
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(&folder).expect("a folder of sources") {
@@ -232,7 +282,7 @@ fn every_path_is_opened_in_one_place() {
 /// Targets of tests that have a module `keeps_time`, by the folder of their `main.rs`.
 fn targets_that_keep_time() -> BTreeSet<String> {
     let (mut found, mut folders) =
-        (BTreeSet::new(), vec![repository("calib"), repository("rigs"), repository("tests")]);
+        (BTreeSet::new(), ["calib", "lab", "rigs", "tests"].map(repository).to_vec());
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(&folder).expect("a folder") {
             let path = entry.expect("an entry").path();

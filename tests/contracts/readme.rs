@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 
 /// Not run, with the reason.
 const LEFT_OUT: [(&str, &str); 2] = [
-    ("wcal train", "training: minutes to hours; track_program runs it on a small set"),
-    ("wcal evaluate", "needs the model of the training above; track_program runs it"),
+    ("wcal-lab train", "training: minutes to hours; lab/tests/commands/models.rs runs it on a small set"),
+    ("wcal-lab evaluate", "needs the model of the training above; lab/tests/commands/models.rs runs it"),
 ];
 /// Run with other sizes, with the reason.
 const CUT: [(&str, &str, &str); 1] =

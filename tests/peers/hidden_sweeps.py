@@ -40,7 +40,7 @@ def main():
     pooled, held, stated, refuted, flagged, contacts = [], 0, 0, 0, 0, 0
     for folder in folders:
         run(program, folder, "import", "readings.csv", "--kind", "sweep", "--motion", "base.csv", "--object", "object.stl",
-            "--object-pose", "0,0,0,1,0,0,0", "--simulated", "--out", "sweep", "--force")
+            "--object-pose", "0,0,0,1,0,0,0", "--out", "sweep", "--force")
         run(program, folder, "verify", "session", "--sweep", "sweep", "--out", "verify", "--force")
         verdict = json.loads((folder / "verify/verify.json").read_text())
         declared = [e for e in verdict["sweep"]["explanations"] if not e["effects"]]

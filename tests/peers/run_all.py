@@ -61,7 +61,7 @@ def comparisons(ycb):
     if ycb:
         yield "sweeps", [
             BUILD,
-            script("ycb_sweeps.py", wcal, ycb, "--json", "peers-sweeps.json"),
+            script("ycb_sweeps.py", f"{RELEASE}/wcal-lab", ycb, "--json", "peers-sweeps.json"),
         ]
     yield "vendor-client", [
         ["cargo", "test", "--release", "--locked", "--workspace", "--test", "drivers", "vendor_client::", "--", "--ignored", "--nocapture"],

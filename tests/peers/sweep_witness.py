@@ -83,7 +83,7 @@ def judged(program, folder, name, readings, base, calibration):
     write(work / "readings.csv", readings)
     write(work / "base.csv", base)
     run(program, work, "import", "readings.csv", "--kind", "sweep", "--motion", "base.csv", "--object", str(folder.resolve() / "object.stl"), "--object-pose",
-        POSE, "--simulated", "--out", "sweep", "--force")
+        POSE, "--out", "sweep", "--force")
     code, said = run(program, work, "track", "sweep", "--calibration", str(calibration.resolve()), "--out", "track.csv", "--force")
     if code == 1:
         return {"refuted": True, "suspects": [], "cannot_judge": said.strip().splitlines()[-1]}

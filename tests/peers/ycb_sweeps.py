@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
 """The paper's sweep set (SIMULATED): 78 objects, 200 sweeps each, by the rod engine; its time, its rate, and its labels against the meshes.
 
-usage: tests/peers/ycb_sweeps.py WCAL MESHES [--sweeps N] [--jobs N] [--labels N] [--out DIR] [--json FILE]
+usage: tests/peers/ycb_sweeps.py WCAL-LAB MESHES [--sweeps N] [--jobs N] [--labels N] [--out DIR] [--json FILE]
 
 MESHES: folder of STL files. The labels of N contacts are read from the shards, taken into the object's frame with the pose and way that
 the tables state, and measured against all triangles of the file, without any library of the project. Needs numpy and pyarrow.
 """
 import argparse
 import json
+import os
 import pathlib
 import resource
 import struct
@@ -86,7 +87,7 @@ def labels(out, meshes, wanted):
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("wcal")
+    parser.add_argument("lab")
     parser.add_argument("meshes", type=pathlib.Path)
     parser.add_argument("--sweeps", type=int, default=200)
     parser.add_argument("--jobs", type=int, default=2)
@@ -97,8 +98,9 @@ def main():
     with tempfile.TemporaryDirectory() as scratch:
         out = args.out or pathlib.Path(scratch)
         begin = time.perf_counter()
-        done = subprocess.run([args.wcal, "simulate", "--meshes", str(args.meshes), "--sweeps", str(args.sweeps), "--jobs",
-                               str(args.jobs), "--seed", "1", "--json", "--report", "--out", str(out)], stdout=subprocess.PIPE, text=True)
+        done = subprocess.run([args.lab, "simulate", "--meshes", str(args.meshes), "--sweeps", str(args.sweeps), "--seed", "1",
+                               "--json", "--report", "--out", str(out)], stdout=subprocess.PIPE, text=True,
+                              env={**os.environ, "RAYON_NUM_THREADS": str(args.jobs)})
         wall_min = (time.perf_counter() - begin) / 60
         assert done.returncode in (0, 3), done.returncode
         used = resource.getrusage(resource.RUSAGE_CHILDREN)

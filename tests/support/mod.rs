@@ -27,6 +27,19 @@ pub fn program() -> Command {
     Command::new(PROGRAM)
 }
 
+/// The program that has this command, not yet started: `wcal-lab` lies beside `wcal` in a build of the workspace.
+///
+/// # Panics
+/// Where `wcal-lab` is asked for and not there.
+pub fn program_of(command: &str) -> Command {
+    if !["simulate", "train", "evaluate"].contains(&command) {
+        return program();
+    }
+    let lab = Path::new(PROGRAM).with_file_name("wcal-lab");
+    assert!(lab.is_file(), "{}: build the workspace", lab.display());
+    Command::new(lab)
+}
+
 /// Runs the program to its end.
 pub fn wcal(arguments: &[&str]) -> Output {
     program().args(arguments).output().unwrap()

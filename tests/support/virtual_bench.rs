@@ -34,13 +34,17 @@ impl VirtualBench {
     pub fn type_fault(&mut self, line: &str) {
         writeln!(self.child.stdin.as_mut().unwrap(), "{line}").unwrap();
     }
+
+    /// Its input closes, and it ends.
+    pub fn end(&mut self) {
+        drop(self.child.stdin.take());
+        let _ = self.child.wait();
+    }
 }
 
 impl Drop for VirtualBench {
     fn drop(&mut self) {
-        // Its input closes, and it ends.
-        drop(self.child.stdin.take());
-        let _ = self.child.wait();
+        self.end();
     }
 }
 

@@ -5,6 +5,7 @@ use crate::camera_watch::{CameraClock, PATIENCE, REFUSED_LIMIT};
 use crate::message::SweepEvent;
 use crate::recorder::{FramePurpose, Recorder};
 use crate::replay::{Message, read};
+use crate::steps::disk;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use wcal_core::clock::HostClock;
@@ -101,9 +102,4 @@ impl BoardRun<'_> {
             }
         }
     }
-}
-
-fn disk(error: &crate::AcquisitionError) -> DeviceError {
-    let kind = DeviceErrorKind::Configuration;
-    DeviceError::new(kind, "recorder", "record", "space on disk", error.to_string())
 }

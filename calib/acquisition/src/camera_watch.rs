@@ -7,11 +7,12 @@ use crate::message::SweepEvent;
 use crate::monitor::Monitor;
 use crate::pictures::PREVIEW_PERIOD_S;
 use crate::recorder::{FramePurpose, Recorder};
-use crate::sweep::INTERRUPTED;
+use crate::steps::disk;
+use crate::sweep::{INTERRUPTED, Watched};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use wcal_core::device::{CameraFrame, DeviceError, DeviceErrorKind};
+use wcal_core::device::{CameraFrame, DeviceErrorKind};
 
 /// Longest wait for a picture (wall time).
 pub(crate) const PATIENCE: Duration = Duration::from_secs(2);
@@ -28,6 +29,7 @@ pub fn watch(
     done: &AtomicBool,
     clock_scale: f64,
 ) {
+    let _watched = Watched(monitor);
     let mut refused = 0;
     let mut eyes = [(); 2].map(|()| CameraClock::new(clock_scale));
     let mut shown_s = f64::NEG_INFINITY;
@@ -36,7 +38,7 @@ pub fn watch(
         if done.load(Ordering::SeqCst) {
             return;
         }
-        let disk = match result {
+        let outcome = match result {
             Ok(found) => {
                 refused = 0;
                 lock(monitor).pair(Some(found.skew_ms));
@@ -73,10 +75,8 @@ pub fn watch(
             }
             Err(e) => return lock(monitor).fail_with(e),
         };
-        if let Err(e) = disk {
-            let kind = DeviceErrorKind::Configuration;
-            let error = DeviceError::new(kind, "recorder", "record", "space on disk", e.to_string());
-            return lock(monitor).fail_with(error);
+        if let Err(e) = outcome {
+            return lock(monitor).fail_with(disk(&e));
         }
     }
 }

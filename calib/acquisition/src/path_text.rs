@@ -11,7 +11,7 @@ pub fn duration_s(steps: &[Step], rig: &Rig, plan: &Plan) -> f64 {
         .iter()
         .map(|step| match step {
             Step::Soak => plan.soak_s,
-            Step::Sync => 3.0,
+            Step::Sync { .. } => 3.0,
             Step::Mount { .. } => {
                 let away = (at_mm - rig.stage.retract_mm).abs() / rig.stage.speed_mm_s;
                 at_mm = rig.stage.retract_mm;
@@ -78,7 +78,7 @@ pub fn draw(steps: &[Step], rig: &Rig) -> String {
                     }
                 }
             }
-            Step::Soak | Step::Sync => {}
+            Step::Soak | Step::Sync { .. } => {}
         }
     }
     flush(&mut line);

@@ -1,6 +1,7 @@
 //! Sweep plans: what people write, expanded into steps that are carried out one by one.
 
 use crate::error::AcquisitionError;
+use crate::limits::Limits;
 use crate::rig::Rig;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,12 +9,19 @@ use std::collections::BTreeMap;
 use wcal_core::Role;
 use wcal_core::document::from_toml;
 use wcal_core::ranges::Range;
+use wcal_core::rig_devices::{Approach, StageRig};
 
 /// `format` of a plan file.
 pub const PLAN_FORMAT: &str = "wcal-plan/1";
 
 /// Readings of some days.
 const MAX_STEPS: usize = 100_000;
+/// A sync move goes from here to there, mm from first contact, or as far as the limits and the trajectory's own depths allow.
+const SYNC_MM: [f64; 2] = [-0.5, 1.0];
+/// Depth below which it shows no delay, mm.
+const MIN_SYNC_MM: f64 = 0.1;
+/// Largest distance of the stage from its target, mm: above a microstep, below any significant error.
+pub(crate) const ARRIVAL_MM: f64 = 0.005;
 /// A day, s.
 const DAY_S: f64 = 86_400.0;
 
@@ -144,8 +152,11 @@ fn default_average_s() -> f64 {
 pub enum Step {
     /// Wait until the signal has settled.
     Soak,
-    /// Show the delay between the devices.
-    Sync,
+    /// Show the delay between the devices: out of contact, into it, and back.
+    Sync {
+        /// Depths, mm: out of contact (negative), and in it.
+        depths_mm: [f64; 2],
+    },
     /// Turn to a trajectory, retracted.
     Mount {
         /// Trajectory.
@@ -162,6 +173,39 @@ pub enum Step {
         /// End and speed of a moving reading: the keys of a settled one.
         pose: Pose,
     },
+}
+
+impl Step {
+    /// Depths that the stage is sent to, mm, in order, from where it stands. A sweep commands these, and its plan is checked by them.
+    #[must_use]
+    pub fn waypoints(&self, at_mm: f64, stage: &StageRig) -> Vec<f64> {
+        match self {
+            Self::Soak => Vec::new(),
+            Self::Sync { depths_mm: [away_mm, press_mm] } => vec![*away_mm, *press_mm, *away_mm],
+            Self::Mount { .. } => vec![stage.retract_mm],
+            Self::Settled(pose) => {
+                // Backlash: a pose of the loading branch is reached in the direction of loading. At rest nothing is touched.
+                let loading = pose.direction > 0 && pose.role != Role::Rest;
+                let behind = at_mm > pose.stage_mm + ARRIVAL_MM;
+                match stage.approach == Approach::OneSided && loading && behind {
+                    true => vec![pose.stage_mm - stage.approach_mm, pose.stage_mm],
+                    false => vec![pose.stage_mm],
+                }
+            }
+            Self::Moving { from_mm, pose, .. } => vec![*from_mm, pose.stage_mm],
+        }
+    }
+
+    /// For messages.
+    fn name(&self) -> String {
+        match self {
+            Self::Soak => "soak".to_owned(),
+            Self::Sync { .. } => "sync_move".to_owned(),
+            Self::Mount { trajectory } => format!("trajectory {trajectory}, retract before the mount turns"),
+            Self::Settled(pose) => format!("trajectory {}, depth {} mm", pose.trajectory, pose.stage_mm),
+            Self::Moving { pose, .. } => format!("trajectory {}, on the fly", pose.trajectory),
+        }
+    }
 }
 
 /// A pose with all that the rows need.
@@ -221,19 +265,22 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Steps in order, checked against the rig.
+    /// Steps in order. Every position that a step commands is checked against the rig's limits within the unit's travel, mm.
     ///
     /// # Errors
-    /// Trajectories the rig lacks, and positions outside its limits.
+    /// Trajectories the rig lacks, and moves outside its limits.
     pub fn steps(&self, rig: &Rig, travel_mm: [f64; 2]) -> Result<Vec<Step>, AcquisitionError> {
+        let limits = Limits::new(&rig.stage, travel_mm);
+        limits.check("rig: stage.retract_mm", rig.stage.retract_mm)?;
         let mut steps = Vec::new();
         if self.soak_s > 0.0 {
             steps.push(Step::Soak);
         }
-        rig.check_depth("rig: stage.retract_mm", rig.stage.retract_mm, travel_mm)?;
-        let first = self.block.first().and_then(|b| b.trajectories.first()).copied();
-        if let Some(trajectory) = first.filter(|_| self.sync_move) {
-            steps.extend([Step::Mount { trajectory }, Step::Sync]);
+        let ends = |end: Option<&Block>, pick: fn(&[u32]) -> Option<&u32>| {
+            end.and_then(|b| pick(&b.trajectories)).copied().filter(|_| self.sync_move)
+        };
+        if let Some(trajectory) = ends(self.block.first(), <[u32]>::first) {
+            steps.extend([Step::Mount { trajectory }, self.sync(trajectory, &limits)?]);
         }
         for block in &self.block {
             for trajectory in &block.trajectories {
@@ -245,18 +292,37 @@ impl Plan {
                         found,
                     ));
                 }
-                for depth in block.depths(*trajectory) {
-                    let what = format!("plan: trajectory {trajectory}, depth {depth} mm");
-                    rig.check_depth(&what, *depth, travel_mm)?;
-                }
                 steps.push(Step::Mount { trajectory: *trajectory });
                 block.path(*trajectory, rig, &mut steps)?;
             }
         }
-        if self.sync_move {
-            steps.push(Step::Sync);
+        if let Some(trajectory) = ends(self.block.last(), <[u32]>::last) {
+            steps.push(self.sync(trajectory, &limits)?);
+        }
+        let mut at_mm = rig.stage.retract_mm;
+        for step in &steps {
+            for depth_mm in step.waypoints(at_mm, &rig.stage) {
+                limits.check(&format!("plan: {}", step.name()), depth_mm)?;
+                at_mm = depth_mm;
+            }
         }
         Ok(steps)
+    }
+
+    /// The sync move of a trajectory: within the limits, and no deeper than the plan itself goes there.
+    fn sync(&self, trajectory: u32, limits: &Limits) -> Result<Step, AcquisitionError> {
+        let own = self.block.iter().filter(|b| b.trajectories.contains(&trajectory));
+        let deepest_mm = own.flat_map(|b| b.depths(trajectory)).copied().fold(0.0, f64::max);
+        let [low_mm, high_mm] = limits.depths_mm();
+        let (away_mm, press_mm) = (SYNC_MM[0].max(low_mm), SYNC_MM[1].min(high_mm).min(deepest_mm));
+        if away_mm <= 0.0 && press_mm >= MIN_SYNC_MM {
+            return Ok(Step::Sync { depths_mm: [away_mm, press_mm] });
+        }
+        let expected = format!(
+            "limits and depths of trajectory {trajectory} that reach from first contact to {MIN_SYNC_MM} mm (or sync_move = false)"
+        );
+        let found = format!("depths of {away_mm:.3}..{press_mm:.3} mm");
+        Err(AcquisitionError::input("plan: sync_move", expected, found))
     }
 }
 
@@ -340,8 +406,53 @@ mod tests {
         let settled = steps.iter().filter(|s| matches!(s, Step::Settled(_))).count();
         let moving = steps.iter().filter(|s| matches!(s, Step::Moving { .. })).count();
         assert_eq!((settled, moving), (4 * (1 + 3 + 2), 4 * 2));
-        assert_eq!(steps.iter().filter(|s| **s == Step::Sync).count(), 2);
+        let sync = Step::Sync { depths_mm: [-0.5, 1.0] };
+        assert_eq!(steps.iter().filter(|s| **s == sync).count(), 2);
         assert!(draw(&steps, &rig()).contains("trajectory   1"));
+    }
+
+    /// Every position that the steps command, mm of the stage's own scale.
+    fn commanded(steps: &[Step], rig: &Rig) -> Vec<f64> {
+        let mut at_mm = rig.stage.retract_mm;
+        let mut all = vec![at_mm];
+        for step in steps {
+            all.extend(step.waypoints(at_mm, &rig.stage));
+            at_mm = *all.last().unwrap();
+        }
+        all.iter().map(|mm| rig.stage.zero_mm + mm).collect()
+    }
+
+    #[test]
+    fn every_commanded_move_is_inside_the_limits_or_the_plan_is_refused_by_name() {
+        let steps = |limits: &str, rig_extra: &str, plan: &str| {
+            let text = super::super::rig::tests::RIG
+                .replace("[0, 40]", limits)
+                .replace("retract_mm = -2", &format!("retract_mm = -2\n{rig_extra}"));
+            let rig = Rig::parse("rig.toml", &text).unwrap();
+            let steps = Plan::parse("plan.toml", plan)?.steps(&rig, [0.0, 101.6])?;
+            Ok::<_, AcquisitionError>((commanded(&steps, &rig), steps))
+        };
+        let shallow = PLAN.replace("[1, 3, 5]", "[0.2]");
+        // A sync move of 1 mm would leave these limits: it is shortened to what the plan itself does.
+        let (all, _) = steps("[17.9, 20.25]", "", &shallow).unwrap();
+        assert!(all.iter().all(|mm| (17.9..=20.25).contains(mm)), "{all:?}");
+        // Control: where there is room, it is as long as ever.
+        let (_, free) = steps("[0, 40]", "", PLAN).unwrap();
+        assert!(free.contains(&Step::Sync { depths_mm: [-0.5, 1.0] }));
+        // From 3 mm to 0.5 mm the stage passes by 3 mm and comes back in the direction of loading: it is sent to -2.5 mm.
+        let one_sided = "approach = \"one-sided\"\napproach_mm = 3.0";
+        let back = PLAN.replace("[1, 3, 5]", "[3, 0.5]");
+        for (limits, extra, plan, word) in [
+            ("[17.9, 20.05]", "", shallow.replace("[0.2]", "[0.04]"), "plan: sync_move"),
+            ("[18, 20]", "", PLAN.to_owned(), "plan: sync_move"),
+            ("[18, 22]", "", PLAN.to_owned(), "depth 3 mm"),
+            ("[17.9, 40]", one_sided, back.clone(), "trajectory 1, depth 0.5 mm"),
+        ] {
+            let error = steps(limits, extra, &plan).unwrap_err().to_string();
+            assert!(error.contains(word), "{word}: {error}");
+        }
+        let (all, _) = steps("[17, 40]", one_sided, &back).unwrap();
+        assert!(all.contains(&17.5), "control: with room the approach is one of the moves: {all:?}");
     }
 
     #[test]

@@ -5,16 +5,19 @@ use crate::assign::ChannelMap;
 use crate::board_run::{BoardRun, shown_before};
 use crate::camera_pair::CameraPair;
 use crate::camera_watch::watch;
+use crate::limits::{LimitedStage, Limits};
 use crate::monitor::Monitor;
 use crate::plan::{Plan, Step};
 use crate::recorder::Recorder;
 use crate::reduce::{Reduction, recordings, reduce};
+use crate::reference::check;
 use crate::replay_interrogator::ReplayInterrogator;
 use crate::rig::Rig;
 use crate::run_file::{RUN_FORMAT, RunFile, RunOutcome};
 pub use crate::session_begin::RecordRequest;
 use crate::session_begin::{OwnedSessionFolder, stage_lock};
-use crate::sweep::{Ending, Progress, SweepBench, SweepReport, acquire, run};
+use crate::steps::disk;
+use crate::sweep::{Ending, Progress, StageEnd, SweepBench, SweepReport, acquire, run};
 use crate::tables::temperature_ratio;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -23,7 +26,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::Interrupt;
-use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Stage};
+use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Permission};
 use wcal_core::files::write_atomic;
 use wcal_core::provenance::sha256_hex;
 use wcal_core::rig_devices::{DeviceOpener, InterrogatorRig};
@@ -140,17 +143,22 @@ pub fn record(
         let own = names.iter().cloned().zip(pair.identities()?);
         identities.extend(own.map(|(name, identity)| (format!("camera_{name}"), identity)));
     }
-    // Every position is checked against the unit's own travel before the first move.
-    let steps = plan.steps(&rig, stage.travel_mm()?)?;
+    // Every position is checked against the unit's own travel before the first move, and again when it is commanded.
+    let travel_mm = stage.travel_mm()?;
+    let steps = plan.steps(&rig, travel_mm)?;
+    let limits = Limits::new(&rig.stage, travel_mm);
     let mut motor = devices.mount(&rig.mount, clock)?;
     let mount: &mut dyn Mount = match &mut motor {
         Some(motor) => motor.as_mut(),
         None => manual,
     };
+    let allowed = Permission { home: request.home, clear_flags: request.home && request.resume };
+    check(stage.as_mut(), mount, &steps, allowed)?;
     let (about, simulated) = describe(request, &rig, &plan, identities, &mut begun)?;
     let earlier = recordings(&request.folder);
     let number = earlier.len() + 1;
     let name = if number == 1 { "recording.mcap".to_owned() } else { format!("recording-{number}.mcap") };
+    begun.reserve(tables_bytes(&steps))?;
     let recorder = Recorder::create(&begun.makes(&name), about)?;
     let live = request.live.map(|address| recorder.serve(address)).transpose()?;
     // Everything is open: from here on there is something to keep.
@@ -175,15 +183,17 @@ pub fn record(
     }
     let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), temperature_ratio(&rig), rig.clock_scale));
     let done = AtomicBool::new(false);
-    let mut reopen = || -> Result<Box<dyn Stage>, DeviceError> { devices.stage(&rig.stage, clock) };
+    let mut reopen = || Ok(LimitedStage::new(devices.stage(&rig.stage, clock)?, limits));
     let mut sweep = std::thread::scope(|scope| {
-        scope.spawn(|| acquire(interrogator.as_mut(), &monitor, &recorder, &done));
-        if let Some(pair) = &mut cameras {
+        // Whoever leaves this block, by a panic too, ends the threads that record.
+        let ended = SetOnDrop(&done);
+        let reader = scope.spawn(|| acquire(interrogator.as_mut(), &monitor, &recorder, &done));
+        let watcher = cameras.as_mut().map(|pair| {
             let (names, monitor, recorder, done, rig) = (&names, &monitor, &recorder, &done, &rig);
-            scope.spawn(move || watch(pair, names, monitor, recorder, done, rig.clock_scale));
-        }
+            scope.spawn(move || watch(pair, names, monitor, recorder, done, rig.clock_scale))
+        });
         let bench = SweepBench {
-            stage,
+            stage: LimitedStage::new(stage, limits),
             reopen: &mut reopen,
             mount,
             monitor: &monitor,
@@ -191,17 +201,47 @@ pub fn record(
             interrupt,
             pause,
         };
-        let report = run(bench, &rig, &plan, &steps, &skip, request.home, progress);
-        done.store(true, Ordering::SeqCst);
+        let report = run(bench, &rig, &plan, &steps, &skip, allowed, progress);
+        drop(ended);
+        // A thread that panicked has been a fault of the sweep: what was recorded is kept.
+        for thread in std::iter::once(reader).chain(watcher) {
+            let _ = thread.join();
+        }
         report
     });
-    recorder.finish()?;
     // Scans that came while the last step ended are in the recording as well.
     sweep.counts = monitor.into_inner().unwrap_or_else(PoisonError::into_inner).counts();
+    if let (Err(e), Ending::Finished) = (recorder.finish(), &sweep.ending) {
+        sweep.ending = Ending::Stopped { cause: disk(&e), stage: StageEnd::Retracted };
+    }
+    begun.release();
     let reduction = reduce(&request.folder);
-    let recorded = RecordResult { sweep, reduction, repeats: devices.repeats(), simulated };
-    add_outcome(&request.folder, name, &recorded)?;
+    let mut recorded = RecordResult { sweep, reduction, repeats: devices.repeats(), simulated };
+    if let Err(e) = add_outcome(&request.folder, name, &recorded) {
+        recorded.reduction = Err(e);
+    }
     Ok(recorded)
+}
+
+/// Sets a flag when it goes.
+struct SetOnDrop<'a>(&'a AtomicBool);
+
+impl Drop for SetOnDrop<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::SeqCst);
+    }
+}
+
+/// Space that the tables of a session need at most, bytes: about a kilobyte a row in all of them.
+fn tables_bytes(steps: &[Step]) -> u64 {
+    let rows = |step: &Step| match step {
+        Step::Settled(_) => 1.0,
+        Step::Moving { from_mm, rows_hz, pose } => {
+            (rows_hz * (pose.stage_mm - from_mm).abs() / pose.speed_mm_s).ceil()
+        }
+        Step::Soak | Step::Sync { .. } | Step::Mount { .. } => 0.0,
+    };
+    64 * 1024 + 1024 * steps.iter().map(rows).sum::<f64>().min(1e6) as u64
 }
 
 /// Adds to run.json what came of this run.

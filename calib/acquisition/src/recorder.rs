@@ -13,8 +13,8 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions};
 use std::io::BufWriter;
 use std::net::SocketAddr;
-use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 use wcal_core::device::{CameraFrame, FbgReading, StageReading};
 
@@ -47,6 +47,9 @@ pub struct Recorder {
     groove: Channel<PoseInFrame>,
     images: Mutex<HashMap<String, Channel<CompressedImage>>>,
     pace: Mutex<Pace>,
+    path: PathBuf,
+    /// The first failure to write: those after it only say that there was one.
+    failed: OnceLock<String>,
 }
 
 /// A WebSocket server of the Foxglove protocol; ends when dropped.
@@ -102,10 +105,11 @@ impl Recorder {
         // Uncompressed: 2 kHz are some 0.2 MB/s, and no C library is needed to read them.
         let options =
             McapWriteOptions::new().chunk_size(Some(512 * 1024)).compression(None).calculate_chunk_crcs(true);
+        let failed = |e| not_written(path, &e);
         let writer =
-            context.mcap_writer_with_options(options).create(BufWriter::new(file)).map_err(broken)?;
-        writer.write_metadata("wcal", about).map_err(broken)?;
-        let recorder = Self::on(context, Some((writer, copy)))?;
+            context.mcap_writer_with_options(options).create(BufWriter::new(file)).map_err(failed)?;
+        writer.write_metadata("wcal", about).map_err(failed)?;
+        let recorder = Self::on(context, Some((writer, copy)), path)?;
         recorder.flush()?;
         Ok(recorder)
     }
@@ -115,12 +119,13 @@ impl Recorder {
     /// # Errors
     /// When the channels cannot be made.
     pub fn without_file() -> Result<Self, AcquisitionError> {
-        Self::on(Context::new(), None)
+        Self::on(Context::new(), None, Path::new(""))
     }
 
     fn on(
         context: Arc<Context>,
         file: Option<(McapWriterHandle<BufWriter<File>>, File)>,
+        path: &Path,
     ) -> Result<Self, AcquisitionError> {
         let now = Instant::now();
         Ok(Self {
@@ -134,6 +139,8 @@ impl Recorder {
             pace: Mutex::new(Pace { flushed: now, synced: now }),
             context,
             file,
+            path: path.to_owned(),
+            failed: OnceLock::new(),
         })
     }
 
@@ -270,8 +277,9 @@ impl Recorder {
     /// When the disk does not take it; what was flushed before stays readable.
     pub fn finish(self) -> Result<(), AcquisitionError> {
         let Some((writer, file)) = self.file else { return Ok(()) };
-        writer.close().map_err(broken)?;
-        file.sync_all().map_err(|e| AcquisitionError::Recorder(e.to_string()))
+        let failed = |e: &dyn std::error::Error| first_failure(&self.path, &self.failed, e);
+        writer.close().map_err(|e| failed(&e))?;
+        file.sync_all().map_err(|e| failed(&e))
     }
 
     /// Writes everything so far to the file.
@@ -279,7 +287,9 @@ impl Recorder {
     /// # Errors
     /// When the disk does not take it.
     pub fn flush(&self) -> Result<(), AcquisitionError> {
-        self.file.as_ref().map_or(Ok(()), |(writer, _)| writer.flush().map_err(broken))
+        self.file.as_ref().map_or(Ok(()), |(writer, _)| {
+            writer.flush().map_err(|e| first_failure(&self.path, &self.failed, &e))
+        })
     }
 
     fn keep_pace(&self) -> Result<(), AcquisitionError> {
@@ -299,7 +309,7 @@ impl Recorder {
         self.flush()?;
         match &self.file {
             Some((_, file)) if sync => {
-                file.sync_data().map_err(|e| AcquisitionError::Recorder(e.to_string()))
+                file.sync_data().map_err(|e| first_failure(&self.path, &self.failed, &e))
             }
             _ => Ok(()),
         }
@@ -320,6 +330,20 @@ pub(crate) fn raw<M: McapMessage>(
 
 pub(crate) fn log_raw<M: McapMessage>(channel: &RawChannel, message: &M, host_s: f64) {
     channel.log_with_meta(&message.encode_to_vec(), at(host_s));
+}
+
+fn first_failure(path: &Path, first: &OnceLock<String>, error: &dyn std::error::Error) -> AcquisitionError {
+    AcquisitionError::Recorder(first.get_or_init(|| why(path, error)).clone())
+}
+
+/// Which file was not written, and why: a full disk says so in its own words.
+fn why(path: &Path, error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(Some(error), |e| e.source()).map(ToString::to_string);
+    format!("{}: {}", path.display(), causes.collect::<Vec<_>>().join(": "))
+}
+
+fn not_written(path: &Path, error: &dyn std::error::Error) -> AcquisitionError {
+    AcquisitionError::Recorder(why(path, error))
 }
 
 fn broken(error: foxglove::FoxgloveError) -> AcquisitionError {

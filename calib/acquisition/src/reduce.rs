@@ -13,7 +13,7 @@ use crate::sound_clock::SoundClock;
 use crate::stage_track::Track;
 use crate::tables::{self, Row, Stream};
 use crate::windows::Samples;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use wcal_core::files::write_atomic;
 
@@ -86,19 +86,20 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     let mut result = Reduction::default();
     let mut rows = Vec::new();
     let mut origin_s = None;
-    let (mut clocks, mut part_of_row) = (Vec::new(), Vec::new());
+    let mut clocks = Vec::new();
     for (number, part) in parts.iter().enumerate() {
-        clocks.push(reduce_part(part, &rig, &mut origin_s, &mut rows, &mut result)?);
-        part_of_row.resize(rows.len(), number);
+        let mut own = Vec::new();
+        clocks.push(reduce_part(part, &rig, &mut origin_s, &mut own, &mut result)?);
+        own.iter_mut().for_each(|row| row.part = number);
+        add_part(&mut rows, own);
     }
     nothing_reduced(&parts[0], rows.len(), &result)?;
     result.holdout = rows.iter().filter(|r| r.sealed).count();
     result.rows = rows.len() - result.holdout;
     result.outliers = rows.iter().map(|r| r.mean.outliers.len()).sum();
-    result.marked = [Stream::Lost, Stream::Late].map(|s| rows.iter().filter(|r| r.stream == s).count());
+    result.marked =
+        [Stream::Lost, Stream::Late, Stream::Moved].map(|s| rows.iter().filter(|r| r.stream == s).count());
     let cameras: Vec<&str> = rig.camera.iter().map(|c| c.name.as_str()).collect();
-    let pictured = pictured_rows(&rows, &part_of_row);
-    result.pictures[0] = write_pictures(folder, &run.id, &cameras, &parts, &clocks, &pictured)?;
     let files = tables::write_tables(&rig, &rows, run.is_simulated())?;
     for (name, bytes) in &files {
         write_atomic(&folder.join(name), bytes)?;
@@ -106,9 +107,26 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     let names: Vec<String> =
         parts.iter().filter_map(|p| Some(p.file_name()?.to_string_lossy().into_owned())).collect();
     let holdout = files.iter().any(|(name, _)| name == "holdout.csv");
-    let session = tables::session_toml(&rig, &run, &names, holdout, &result, &added_later(folder))?;
-    write_atomic(&folder.join("session.toml"), session.as_bytes())?;
+    let added = added_later(folder);
+    let session = |result: &Reduction| -> Result<(), AcquisitionError> {
+        let text = tables::session_toml(&rig, &run, &names, holdout, result, &added)?;
+        Ok(write_atomic(&folder.join("session.toml"), text.as_bytes())?)
+    };
+    // Pictures are large: where the disk has no room for them the tables are there.
+    session(&result)?;
+    result.pictures[0] = write_pictures(folder, &run.id, &cameras, &parts, &clocks, &pictured_rows(&rows))?;
+    if result.pictures[0] > 0 {
+        session(&result)?;
+    }
     Ok(result)
+}
+
+/// Adds the rows of a recording. A reading whose `done` was lost with the end of its recording is made again: each step counts once, as it was
+/// made last.
+fn add_part(rows: &mut Vec<Row>, own: Vec<Row>) {
+    let again: BTreeSet<u32> = own.iter().map(|row| row.step).collect();
+    rows.retain(|row| !again.contains(&row.step));
+    rows.extend(own);
 }
 
 /// Entries of an earlier session.toml that name results from the pictures: the files are still there.
@@ -124,13 +142,14 @@ fn added_later(folder: &Path) -> Vec<[String; 3]> {
 }
 
 /// Settled rows with their numbers in points.csv or holdout.csv.
-fn pictured_rows(rows: &[Row], part_of_row: &[usize]) -> Vec<PicturedRow> {
+fn pictured_rows(rows: &[Row]) -> Vec<PicturedRow> {
     let mut next = [0; 2];
     let mut all = Vec::new();
-    for (row, part) in rows.iter().zip(part_of_row) {
-        let point = next[usize::from(row.sealed)];
-        next[usize::from(row.sealed)] += 1;
-        all.extend(row.step.map(|step| PicturedRow { part: *part, step, point, sealed: row.sealed }));
+    for row in rows {
+        let (part, step, sealed) = (row.part, row.step, row.sealed);
+        let point = next[usize::from(sealed)];
+        next[usize::from(sealed)] += 1;
+        all.extend(row.average_s.map(|_| PicturedRow { part, step, point, sealed }));
     }
     all
 }
@@ -299,11 +318,14 @@ fn add_rows(
         let event = &events[window.event];
         let stream = match window.late || unaligned {
             true => Stream::Late,
+            false if event.kind == "window" && track.left(event.target_mm, window.begin_s, window.end_s) => {
+                Stream::Moved
+            }
             false if missing_share(&window, lost) > MAX_MISSING => Stream::Lost,
             false => Stream::Whole,
         };
         match row_of(rig, event, &window, track, origin_s) {
-            Some(row) => rows.push(Row { stream, ..row }),
+            Some(row) => rows.push(Row { stream, settled: row.settled && stream != Stream::Moved, ..row }),
             None => result.empty_windows += 1,
         }
     }
@@ -373,7 +395,8 @@ fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_
     let loaded = event.role != "rest" && stage_mm >= 0.0;
     Some(Row {
         role: event.role.clone(),
-        step: (!moving).then_some(event.step),
+        part: 0,
+        step: event.step,
         sealed: event.sealed,
         trajectory: event.trajectory,
         replicate: event.replicate,

@@ -25,8 +25,8 @@ pub struct Reduction {
     pub unclocked: u64,
     /// Largest delay of a scan, s of the bench's time.
     pub longest_delay_s: f64,
-    /// Rows by faults in their windows: scans missing, scans late.
-    pub marked: [usize; 2],
+    /// Rows by faults in their windows: scans missing, scans late, the stage not where it was sent.
+    pub marked: [usize; 3],
     /// Windows without the two usable scans that a row needs.
     pub empty_windows: usize,
     /// Marked samples.
@@ -75,10 +75,18 @@ impl Reduction {
                 ),
             ),
             (
-                *marked != [0; 2],
+                marked[..2] != [0; 2],
                 format!(
                     "{} rows with scans missing and {} with late scans or clocks that cannot be aligned, marked in the column `stream`",
                     marked[0], marked[1]
+                ),
+            ),
+            (
+                marked[2] > 0,
+                format!(
+                    "{} rows in whose averaging window the stage moved or stood where it had not been sent (another program, or a hand at its \
+                     knob): marked `moved` in the column `stream`, and not used",
+                    marked[2]
                 ),
             ),
             (*empty_windows > 0, format!("{empty_windows} windows without usable scans: no rows")),

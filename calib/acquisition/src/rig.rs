@@ -102,6 +102,9 @@ impl Rig {
         if !(low >= 0.0 && low < high && high <= s.travel_mm + 1e-6) {
             return fail("stage.soft_limits_mm", "two positions within the travel", format!("{low}, {high}"));
         }
+        if let Some((field, expected, found)) = addresses_that_clash(s, &rig.mount) {
+            return fail(field, expected, found);
+        }
         for whisker in rig.interrogator.whiskers() {
             for name in ["fbg_1", "fbg_2"] {
                 if rig.interrogator.grating_of(whisker, name).is_none() {
@@ -156,31 +159,36 @@ impl Rig {
     pub fn trajectory(&self, id: u32) -> Option<&TrajectoryRig> {
         self.trajectory.iter().find(|t| t.id == id)
     }
+}
 
-    /// Checks a depth (mm from the zero) against the soft limits and the unit's travel.
-    ///
-    /// # Errors
-    /// What is allowed and what was asked for.
-    pub fn check_depth(
-        &self,
-        what: &str,
-        depth_mm: f64,
-        travel_mm: [f64; 2],
-    ) -> Result<(), AcquisitionError> {
-        let position = self.stage.zero_mm + depth_mm;
-        let low = self.stage.soft_limits_mm[0].max(travel_mm[0]);
-        let high = self.stage.soft_limits_mm[1].min(travel_mm[1]);
-        if (low..=high).contains(&position) {
-            return Ok(());
-        }
-        let expected = format!("a stage position in {low:.3}..{high:.3} mm");
-        Err(AcquisitionError::input(what, expected, format!("{position:.3} mm")))
+/// The highest address of a unit on an ASCII chain.
+const ASCII_ADDRESSES: u8 = 99;
+
+/// What is wrong with the addresses of stage and mount: field, expected, found.
+fn addresses_that_clash(stage: &StageRig, mount: &MountRig) -> Option<(&'static str, &'static str, String)> {
+    let ascii = stage.driver != "zaber-binary";
+    if ascii && stage.address > ASCII_ADDRESSES {
+        return Some(("stage.address", "a whole number between 1 and 99", stage.address.to_string()));
     }
+    let MountRig::Zaber { address, .. } = mount else { return None };
+    if !ascii {
+        let expected = "kind = \"manual\" beside a stage with driver zaber-binary";
+        return Some(("mount.kind", expected, "zaber".to_owned()));
+    }
+    if *address > ASCII_ADDRESSES {
+        return Some(("mount.address", "a whole number between 1 and 99", address.to_string()));
+    }
+    // The mount is axis 1 of its unit: its turns would drive the stage.
+    (*address == stage.address && stage.axis == 1).then(|| {
+        let found = format!("[stage] address = {}, axis = 1 and [mount] address = {address}", stage.address);
+        ("mount.address", "another unit or axis than the stage's", found)
+    })
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::limits::Limits;
 
     pub(crate) const RIG: &str = r#"
 format = "wcal-rig/1"
@@ -219,9 +227,10 @@ shear_gpa = 28.2
     #[test]
     fn a_rig_is_read_and_its_limits_hold() {
         let rig = Rig::parse("rig.toml", RIG).unwrap();
-        assert!(rig.check_depth("x", 20.0, [0.0, 101.6]).is_ok());
-        assert!(rig.check_depth("x", 20.1, [0.0, 101.6]).is_err());
-        assert!(rig.check_depth("x", 15.0, [0.0, 30.0]).is_err());
+        let check = |depth_mm, travel_mm| Limits::new(&rig.stage, travel_mm).check("x", depth_mm);
+        assert!(check(20.0, [0.0, 101.6]).is_ok());
+        assert!(check(20.1, [0.0, 101.6]).is_err());
+        assert!(check(15.0, [0.0, 30.0]).is_err());
         assert_eq!(rig.trajectory(1).unwrap().groove_mm(2.0), Vector3::new(18.0, 0.0, 2.0));
     }
 
@@ -244,6 +253,41 @@ shear_gpa = 28.2
         assert_eq!(rig.grating("fbg_1").unwrap().nominal_nm, 1541.2);
         let error = Rig::parse("rig.toml", &more(1542.0)).unwrap_err().to_string();
         assert!(error.contains("do not overlap") && error.contains("fbg_1 of b"), "{error}");
+    }
+
+    const MOUNT: &str = "[mount]\nkind = \"zaber\"\naddress = 2\nsteps_per_trajectory = 10000\nmicrostep_um = 0.1\nspeed_mm_s = 20\n[interrogator]";
+
+    /// What is meant for one unit or axis must reach no other.
+    #[test]
+    fn broadcasts_and_two_entries_of_one_axis_are_refused() {
+        let with_mount = RIG.replace("[interrogator]", MOUNT);
+        let parse = |from: &str, to: &str| Rig::parse("rig.toml", &with_mount.replace(from, to));
+        for (from, to) in
+            [("", ""), ("address = 2", "address = 3"), ("[stage]", "[stage]\naxis = 2\naddress = 2")]
+        {
+            assert!(parse(from, to).is_ok(), "control: {to}");
+        }
+        for (from, to, words) in [
+            (
+                "[stage]",
+                "[stage]\naddress = 0",
+                "stage.address: expected a whole number between 1 and 254, found 0",
+            ),
+            ("[stage]", "[stage]\naxis = 0", "stage.axis: expected a whole number between 1 and 9, found 0"),
+            (
+                "address = 2",
+                "address = 0",
+                "mount.address: expected a whole number between 1 and 254, found 0",
+            ),
+            ("[stage]", "[stage]\naddress = 100", "stage.address: expected a whole number between 1 and 99"),
+            ("address = 2", "address = 100", "mount.address: expected a whole number between 1 and 99"),
+            ("address = 2", "address = 1", "found [stage] address = 1, axis = 1 and [mount] address = 1"),
+            ("[stage]", "[stage]\naddress = 2", "[stage] address = 2, axis = 1 and [mount] address = 2"),
+            ("zaber-ascii", "zaber-binary", "mount.kind: expected kind = \"manual\""),
+        ] {
+            let error = parse(from, to).unwrap_err().to_string();
+            assert!(error.contains(words), "{words}: {error}");
+        }
     }
 
     #[test]

@@ -6,6 +6,7 @@ use crate::reduce::{recordings, refuse_empty};
 use crate::replay::completed_steps;
 use std::collections::BTreeSet;
 use std::fs;
+use std::io::Read;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use wcal_core::files::write_atomic;
@@ -41,6 +42,8 @@ pub struct RecordRequest {
 
 /// Held while a sweep records into the folder. The name is that of a file half-written: nobody takes it for a result.
 const LOCK: &str = ".wcal-session.tmp";
+/// Space that is given back when the sweep has ended: of a disk that is full there are tables all the same.
+const RESERVE: &str = ".wcal-reserve.tmp";
 
 /// A session's folder, this process's own. What was made in it goes again unless the sweep keeps it: a device that could not be opened
 /// leaves nothing that would block the next attempt.
@@ -73,6 +76,27 @@ impl OwnedSessionFolder {
         let path = self.folder.join(name);
         self.made.push(path.clone());
         path
+    }
+
+    /// Takes the space that the tables will need, bytes; a disk that has none is known before anything moves.
+    ///
+    /// # Errors
+    /// When the disk is full.
+    pub(crate) fn reserve(&mut self, bytes: u64) -> Result<(), AcquisitionError> {
+        let path = self.folder.join(RESERVE);
+        let create = || fs::File::create(&path).map_err(AcquisitionError::io("creating", &path));
+        let zeros = std::io::copy(&mut std::io::repeat(0).take(bytes), &mut create()?);
+        zeros.map(drop).map_err(|e| {
+            // What was written of it would block the next attempt.
+            let _ = fs::remove_file(&path);
+            AcquisitionError::io("writing", &path)(e)
+        })
+    }
+
+    /// Gives the reserved space back.
+    pub(crate) fn release(&mut self) {
+        // Nothing was reserved, or it goes with the folder.
+        let _ = fs::remove_file(self.folder.join(RESERVE));
     }
 
     /// Something was recorded: it stays.
@@ -126,6 +150,7 @@ impl OwnedSessionFolder {
 
 impl Drop for OwnedSessionFolder {
     fn drop(&mut self) {
+        self.release();
         self.lock = None;
         if self.kept {
             return;

@@ -2,20 +2,34 @@
 
 use crate::clocks::ClockFit;
 use crate::message::StagePosition;
+use crate::plan::ARRIVAL_MM;
 
 /// Answers of the stage this near to a time tell its place and speed then, s; and how many do.
 const NEAR_S: f64 = 0.025;
 const MIN_NEAR: usize = 4;
+/// The next move may begin at the end of a window, and answers are stamped some milliseconds off: its last part shows nothing, s.
+const NEXT_MOVE_S: f64 = 0.05;
 
 /// Stage depth (mm) in device time.
 pub(crate) struct Track {
     points: Vec<(f64, f64)>,
+    /// Whether each answer said that the stage moves.
+    moving: Vec<bool>,
 }
 
 impl Track {
     pub(crate) fn new(stage: &[StagePosition], fit: &ClockFit, zero_mm: f64) -> Self {
         let points = stage.iter().map(|r| (fit.device_s(r.host_s), r.measured_mm - zero_mm)).collect();
-        Self { points }
+        Self { points, moving: stage.iter().map(|r| r.moving).collect() }
+    }
+
+    /// Whether the stage moved in a settled window, or stood elsewhere than at `target_mm`, mm from its zero.
+    pub(crate) fn left(&self, target_mm: f64, begin_s: f64, end_s: f64) -> bool {
+        let end_s = end_s - NEXT_MOVE_S.min((end_s - begin_s) / 4.0);
+        let inside =
+            self.points.partition_point(|p| p.0 < begin_s)..self.points.partition_point(|p| p.0 <= end_s);
+        let mut answers = self.points[inside.clone()].iter().zip(&self.moving[inside]);
+        answers.any(|((_, mm), moving)| *moving || (mm - target_mm).abs() > ARRIVAL_MM)
     }
 
     /// Depth (mm) and speed (mm/s): the line through the answers around it, or between its neighbours where there are few; `None` outside the
@@ -64,6 +78,7 @@ mod tests {
             points: (0..200)
                 .map(|k| (every_s * f64::from(k) + late_s(k), 2.0 * every_s * f64::from(k)))
                 .collect(),
+            moving: vec![true; 200],
         };
         let worst = |track: &Track| {
             let all = (10..130).map(|k| 0.01 * f64::from(k)).filter_map(|t| Some((t, track.at(t)?)));
@@ -75,5 +90,21 @@ mod tests {
         // Control: of answers that are far apart two have to do, and their stamps are all in the place.
         let [mm, _] = worst(&points(0.04));
         assert!(mm > 1e-3, "{mm}");
+    }
+    #[test]
+    fn a_window_in_which_the_stage_moved_or_stood_elsewhere_is_seen() {
+        let track = |at_mm: &dyn Fn(f64) -> (f64, bool)| {
+            let times = (0..100).map(|k| 0.02 * f64::from(k));
+            let (points, moving) = times.map(|t| ((t, at_mm(t).0), at_mm(t).1)).unzip();
+            Track { points, moving }
+        };
+        let standing = track(&|_| (3.001, false));
+        assert!(!standing.left(3.0, 0.5, 1.5), "control: within what an arrival may be off");
+        assert!(standing.left(2.9, 0.5, 1.5), "it stands elsewhere");
+        let moved = track(&|t| if t < 1.0 { (3.0, false) } else { (3.2, false) });
+        assert!(moved.left(3.0, 0.5, 1.5) && !moved.left(3.0, 0.0, 0.9));
+        // It goes on to the next pose while the window's last scans come in.
+        let next = track(&|t| if t < 1.48 { (3.0, false) } else { (3.1, true) });
+        assert!(!next.left(3.0, 0.5, 1.5));
     }
 }

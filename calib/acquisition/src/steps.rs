@@ -1,9 +1,10 @@
 //! The steps of a sweep, one by one: what is commanded, waited for, recorded, and done when something fails.
 
 use crate::error::AcquisitionError;
+use crate::limits::LimitedStage;
 use crate::message::SweepEvent;
 use crate::monitor::{Monitor, StreamCounts, lock};
-use crate::plan::{Plan, Pose, Step};
+use crate::plan::{ARRIVAL_MM, Plan, Pose, Step};
 use crate::recorder::Recorder;
 use crate::rig::Rig;
 use foxglove::messages::log::Level;
@@ -11,24 +12,18 @@ use std::collections::BTreeSet;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 use wcal_core::deadline::{Deadline, Interrupt, move_allowance};
-use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Stage, StageReading};
-use wcal_core::rig_devices::Approach;
+use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Permission, Stage, StageReading};
 
 /// Pause between stage polls while it moves, and while it stands.
 pub(crate) const POLL_MOVING: Duration = Duration::from_millis(4);
 const POLL_STANDING: Duration = Duration::from_millis(20);
-/// Largest distance of the stage from its target, mm: above a microstep, below any significant error.
-const ARRIVAL_MM: f64 = 0.005;
-/// Depth of the sync move past contact (mm) and its speed (mm/s).
-const SYNC_MM: f64 = 1.0;
+/// Speed of the sync move, mm/s.
 const SYNC_MM_S: f64 = 4.0;
 /// Share of a window's scans that must have come, and windows tried.
 const MIN_COVERED: f64 = 0.5;
 const WINDOWS: usize = 5;
 /// Longest wait for the pair of a pose after its averaging window (wall time).
 const PICTURE: Duration = Duration::from_secs(3);
-/// A reference search is allowed a move over this many travels: it is slow at its end, and may begin with the wrong direction.
-const HOME_TRAVELS: f64 = 4.0;
 /// A wait by the device's clock may take this many times its length, and a margin (wall): a slower clock counts nothing any more.
 const SLOW_TIMES: f64 = 10.0;
 const SLOW_MARGIN: Duration = Duration::from_secs(30);
@@ -37,12 +32,12 @@ const SLOW_MARGIN: Duration = Duration::from_secs(30);
 pub(crate) const SILENCE: Duration = Duration::from_secs(2);
 
 /// Opens the stage again after its link was lost.
-pub type Reopen<'a> = dyn FnMut() -> Result<Box<dyn Stage>, DeviceError> + 'a;
+pub type Reopen<'a> = dyn FnMut() -> Result<LimitedStage, DeviceError> + 'a;
 
 /// What a sweep works with.
 pub struct SweepBench<'a> {
-    /// The linear stage.
-    pub stage: Box<dyn Stage>,
+    /// The linear stage, behind its limits.
+    pub stage: LimitedStage,
     /// Opens it again.
     pub reopen: &'a mut Reopen<'a>,
     /// The mount.
@@ -92,26 +87,17 @@ pub(crate) struct Sweep<'b, 'r, 'p> {
     pub(crate) step: usize,
     pub(crate) trajectory: Option<u32>,
     pub(crate) last: StageReading,
+    /// Where the stage was sent and has arrived, mm; none while it moves.
+    pub(crate) stands_mm: Option<f64>,
     pub(crate) unsettled: usize,
     pub(crate) fault: Fault,
     pub(crate) progress: &'p mut dyn FnMut(&Progress),
 }
 
 impl Sweep<'_, '_, '_> {
-    /// Reference, stream, and a safe place before the first move toward the wire.
-    pub(crate) fn prepare(&mut self, home: bool) -> Result<(), DeviceError> {
-        match self.bench.stage.read() {
-            Err(e) if e.kind == DeviceErrorKind::NotHomed && home => {
-                let started = self.bench.stage.start_home();
-                self.of_stage(started)?;
-                let rig = &self.rig.stage;
-                self.until_standing("search the reference", HOME_TRAVELS * rig.travel_mm, rig.speed_mm_s)?;
-            }
-            reading => {
-                let reading = self.of_stage(reading)?;
-                self.note(reading)?;
-            }
-        }
+    /// Reference, stream, a safe place before the first move toward the wire, and there the mount.
+    pub(crate) fn prepare(&mut self, allowed: Permission) -> Result<(), DeviceError> {
+        self.reference(allowed)?;
         let start = Instant::now();
         while lock(self.bench.monitor).device_s().is_none() {
             self.tick(POLL_STANDING)?;
@@ -121,9 +107,11 @@ impl Sweep<'_, '_, '_> {
             }
         }
         self.event(&SweepEvent { kind: "start".to_owned(), ..SweepEvent::default() })?;
-        self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)
+        self.go_to(self.rig.stage.retract_mm, self.rig.stage.speed_mm_s)?;
+        self.bench.mount.prepare(allowed)
     }
 
+    /// Every step that is not done yet, then back from the wire.
     pub(crate) fn all_steps(
         &mut self,
         steps: &[Step],
@@ -157,12 +145,14 @@ impl Sweep<'_, '_, '_> {
     }
 
     fn carry_out(&mut self, step: &Step) -> Result<(), DeviceError> {
+        let at_mm = self.last.measured_mm - self.rig.stage.zero_mm;
+        let depths_mm = step.waypoints(at_mm, &self.rig.stage);
         match step {
             Step::Mount { trajectory } => self.mount(*trajectory),
             Step::Soak => self.soak(),
-            Step::Sync => self.sync(),
-            Step::Settled(pose) => self.settled(pose),
-            Step::Moving { from_mm, rows_hz, pose } => self.moving(*from_mm, *rows_hz, pose),
+            Step::Sync { .. } => self.sync(&depths_mm),
+            Step::Settled(pose) => self.settled(pose, &depths_mm),
+            Step::Moving { rows_hz, pose, .. } => self.moving(&depths_mm, *rows_hz, pose),
         }
     }
 
@@ -184,13 +174,13 @@ impl Sweep<'_, '_, '_> {
     }
 
     /// In and out of contact at a known speed: the signal reveals the delay between the devices.
-    fn sync(&mut self) -> Result<(), DeviceError> {
+    fn sync(&mut self, depths_mm: &[f64]) -> Result<(), DeviceError> {
         let speed_mm_s = SYNC_MM_S.min(self.rig.stage.speed_mm_s);
-        self.go_to(-0.5, speed_mm_s)?;
+        let (away, there_and_back) = depths_mm.split_at(1);
+        self.go_through(away, speed_mm_s)?;
         let begin_s = self.stage_s();
         self.wait_until(begin_s + 0.3)?;
-        self.go_to(SYNC_MM, speed_mm_s)?;
-        self.go_to(-0.5, speed_mm_s)?;
+        self.go_through(there_and_back, speed_mm_s)?;
         let end_s = self.stage_s() + 0.3;
         self.wait_until(end_s)?;
         let trajectory = self.trajectory.unwrap_or(0);
@@ -199,13 +189,8 @@ impl Sweep<'_, '_, '_> {
     }
 
     /// Move, dwell, drift gate, averaging window.
-    fn settled(&mut self, pose: &Pose) -> Result<(), DeviceError> {
-        let at_mm = self.last.measured_mm - self.rig.stage.zero_mm;
-        let passes = self.rig.stage.approach == Approach::OneSided && pose.direction > 0;
-        if passes && at_mm > pose.stage_mm + ARRIVAL_MM {
-            self.go_to(pose.stage_mm - self.rig.stage.approach_mm, pose.speed_mm_s)?;
-        }
-        self.go_to(pose.stage_mm, pose.speed_mm_s)?;
+    fn settled(&mut self, pose: &Pose, depths_mm: &[f64]) -> Result<(), DeviceError> {
+        self.go_through(depths_mm, pose.speed_mm_s)?;
         let arrived_s = self.stage_s();
         self.wait_until(arrived_s + pose.dwell_s)?;
         let settle = self.plan.settle;
@@ -254,11 +239,12 @@ impl Sweep<'_, '_, '_> {
     }
 
     /// Rows recorded during motion.
-    fn moving(&mut self, from_mm: f64, rows_hz: f64, pose: &Pose) -> Result<(), DeviceError> {
-        self.go_to(from_mm, pose.speed_mm_s)?;
+    fn moving(&mut self, depths_mm: &[f64], rows_hz: f64, pose: &Pose) -> Result<(), DeviceError> {
+        let (from, to) = depths_mm.split_at(1);
+        self.go_through(from, pose.speed_mm_s)?;
         let begin_s = self.stage_s() + 0.1;
         self.wait_until(begin_s)?;
-        self.go_to(pose.stage_mm, pose.speed_mm_s)?;
+        self.go_through(to, pose.speed_mm_s)?;
         let end_s = self.stage_s();
         self.wait_until(end_s + 0.1)?;
         let event = self.pose_event("moving", pose);
@@ -279,10 +265,15 @@ impl Sweep<'_, '_, '_> {
         }
     }
 
+    fn go_through(&mut self, depths_mm: &[f64], speed_mm_s: f64) -> Result<(), DeviceError> {
+        depths_mm.iter().try_for_each(|depth_mm| self.go_to(*depth_mm, speed_mm_s))
+    }
+
     /// Moves to a depth and checks that the stage got there.
     fn go_to(&mut self, depth_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError> {
         let target_mm = self.rig.stage.zero_mm + depth_mm;
         let way_mm = target_mm - self.last.measured_mm;
+        self.stands_mm = None;
         let started = self.bench.stage.start_move(target_mm, speed_mm_s);
         self.of_stage(started)?;
         self.until_standing(&format!("move to {target_mm:.4} mm"), way_mm, speed_mm_s)?;
@@ -292,11 +283,30 @@ impl Sweep<'_, '_, '_> {
                 (format!("{target_mm:.4} mm"), format!("{:.4} mm", self.last.measured_mm));
             return Err(DeviceError::new(DeviceErrorKind::Stalled, "stage", "move", expected, found));
         }
+        self.stands_mm = Some(target_mm);
         Ok(())
     }
 
+    /// A stage that stands stays where it was sent: another program, or a hand at its knob, would leave readings of another place.
+    fn still_there(&mut self) -> Result<(), DeviceError> {
+        let Some(target_mm) = self.stands_mm else { return Ok(()) };
+        if !self.last.moving && (self.last.measured_mm - target_mm).abs() <= ARRIVAL_MM {
+            return Ok(());
+        }
+        let moves = if self.last.moving { "moving" } else { "standing" };
+        let found =
+            format!("it {moves} at {:.4} mm: another program or a hand moves it", self.last.measured_mm);
+        let expected = format!("the stage at {target_mm:.4} mm, where it was sent");
+        self.of_stage(Err(DeviceError::new(DeviceErrorKind::Displaced, "stage", "stand", expected, found)))
+    }
+
     /// Waits for the end of a motion, for as long as one of this way and speed may take: a stage that stays BUSY has failed.
-    fn until_standing(&mut self, action: &str, way_mm: f64, speed_mm_s: f64) -> Result<(), DeviceError> {
+    pub(crate) fn until_standing(
+        &mut self,
+        action: &str,
+        way_mm: f64,
+        speed_mm_s: f64,
+    ) -> Result<(), DeviceError> {
         let allowed = move_allowance(way_mm, speed_mm_s, self.rig.clock_scale);
         let deadline = Deadline::after(allowed, self.bench.interrupt);
         loop {
@@ -365,6 +375,7 @@ impl Sweep<'_, '_, '_> {
         let reading = self.bench.stage.read();
         let reading = self.of_stage(reading)?;
         self.note(reading)?;
+        self.still_there()?;
         let (latest, counts, device_s) = {
             let monitor = lock(self.bench.monitor);
             (monitor.latest(), monitor.counts(), monitor.device_s())
@@ -381,7 +392,7 @@ impl Sweep<'_, '_, '_> {
     }
 
     /// Remembers that it was the stage that failed.
-    fn of_stage<T>(&mut self, done: Result<T, DeviceError>) -> Result<T, DeviceError> {
+    pub(crate) fn of_stage<T>(&mut self, done: Result<T, DeviceError>) -> Result<T, DeviceError> {
         if done.as_ref().is_err_and(|e| e.kind != DeviceErrorKind::Interrupted) {
             self.fault = Fault::Stage;
         }
@@ -415,7 +426,8 @@ impl Sweep<'_, '_, '_> {
     }
 }
 
-fn disk(error: &AcquisitionError) -> DeviceError {
+/// The recording could not be written: where, and why.
+pub(crate) fn disk(error: &AcquisitionError) -> DeviceError {
     let kind = DeviceErrorKind::Configuration;
     DeviceError::new(kind, "recorder", "record", "space on disk", error.to_string())
 }

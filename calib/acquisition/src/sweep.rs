@@ -4,13 +4,13 @@ use crate::monitor::{Monitor, StreamCounts, lock};
 use crate::plan::{Plan, Step};
 use crate::recorder::Recorder;
 use crate::rig::Rig;
-use crate::steps::{Fault, SILENCE, Sweep};
+use crate::steps::{Fault, SILENCE, Sweep, disk};
 pub use crate::steps::{Progress, Reopen, SweepBench};
 use std::collections::BTreeSet;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, StageReading};
+use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, Permission, StageReading};
 
 /// Pause of those who record until the sweep has heard of an interrupt.
 pub(crate) const INTERRUPTED: Duration = Duration::from_millis(10);
@@ -24,9 +24,28 @@ pub enum Ending {
     Stopped {
         /// Why.
         cause: DeviceError,
-        /// Whether the stage was confirmed to stand afterwards.
-        stage_stopped: bool,
+        /// What became of the stage.
+        stage: StageEnd,
     },
+}
+
+/// What became of the stage of a sweep that stopped.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum StageEnd {
+    /// It stands, retracted from the wire.
+    Retracted,
+    /// It stands where it was stopped.
+    Stands,
+    /// It did not confirm its stop.
+    Unknown,
+}
+
+impl StageEnd {
+    /// Whether it was confirmed to stand.
+    #[must_use]
+    pub fn stands(self) -> bool {
+        self != Self::Unknown
+    }
 }
 
 /// Result of a sweep.
@@ -67,6 +86,21 @@ impl SweepReport {
     }
 }
 
+/// A thread that records: one that panics is a fault of the sweep, which would wait for it.
+pub(crate) struct Watched<'a>(pub(crate) &'a Mutex<Monitor>);
+
+impl Drop for Watched<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let (kind, found) =
+                (DeviceErrorKind::CriticalFault, "a panic of the thread that records it (see above)");
+            let error =
+                DeviceError::new(kind, "program", "record the stream", "a thread that goes on", found);
+            lock(self.0).fail_with(error);
+        }
+    }
+}
+
 /// Reads the stream until `done`, into monitor and recorder. Runs in a thread of its own.
 pub fn acquire(
     interrogator: &mut dyn Interrogator,
@@ -74,10 +108,21 @@ pub fn acquire(
     recorder: &Recorder,
     done: &AtomicBool,
 ) {
-    let mut heard = Instant::now();
-    if let Err(e) = interrogator.start() {
-        return lock(monitor).fail_with(e);
+    let _watched = Watched(monitor);
+    if let Err(e) = interrogator.start().and_then(|()| stream(interrogator, monitor, recorder, done)) {
+        lock(monitor).fail_with(e);
     }
+    // The recording is complete; a unit that does not confirm the end changes nothing.
+    let _ = interrogator.stop();
+}
+
+fn stream(
+    interrogator: &mut dyn Interrogator,
+    monitor: &Mutex<Monitor>,
+    recorder: &Recorder,
+    done: &AtomicBool,
+) -> Result<(), DeviceError> {
+    let mut heard = Instant::now();
     while !done.load(Ordering::SeqCst) {
         let readings = match interrogator.read(Duration::from_millis(100)) {
             Ok(readings) => readings,
@@ -86,35 +131,31 @@ pub fn acquire(
                 std::thread::sleep(INTERRUPTED);
                 continue;
             }
-            Err(e) => return lock(monitor).fail_with(e),
+            Err(e) => return Err(e),
         };
         if !readings.is_empty() {
             heard = Instant::now();
         } else if heard.elapsed() > SILENCE {
-            let found = format!("silence for {} s", SILENCE.as_secs());
-            return lock(monitor).fail(DeviceErrorKind::Timeout, "read the stream", "scans", &found);
+            let (kind, found) = (DeviceErrorKind::Timeout, format!("silence for {} s", SILENCE.as_secs()));
+            return Err(DeviceError::new(kind, "interrogator", "read the stream", "scans", found));
         }
         for reading in &readings {
-            if let Err(e) = recorder.scan(reading) {
-                let kind = DeviceErrorKind::Configuration;
-                return lock(monitor).fail(kind, "record", "space on disk", &e.to_string());
-            }
+            recorder.scan(reading).map_err(|e| disk(&e))?;
         }
         let mut monitor = lock(monitor);
         readings.iter().for_each(|r| monitor.take(r));
     }
-    // The recording is complete; a unit that does not confirm the end changes nothing.
-    let _ = interrogator.stop();
+    Ok(())
 }
 
-/// Carries out `steps`, leaving out those in `skip`. `home`: search the reference first where there is none.
+/// Carries out `steps`, leaving out those in `skip`; `allowed`: what the user allows before the first move.
 pub fn run(
     bench: SweepBench<'_>,
     rig: &Rig,
     plan: &Plan,
     steps: &[Step],
     skip: &BTreeSet<u32>,
-    home: bool,
+    allowed: Permission,
     progress: &mut dyn FnMut(&Progress),
 ) -> SweepReport {
     let mut sweep = Sweep {
@@ -125,17 +166,18 @@ pub fn run(
         step: 0,
         trajectory: None,
         last: StageReading::default(),
+        stands_mm: None,
         unsettled: 0,
         fault: Fault::Elsewhere,
         progress,
     };
     let mut done = 0;
-    let result = sweep.prepare(home).and_then(|()| sweep.all_steps(steps, skip, &mut done));
+    let result = sweep.prepare(allowed).and_then(|()| sweep.all_steps(steps, skip, &mut done));
     let ending = match result {
         Ok(()) => Ending::Finished,
         Err(cause) => {
-            let stage_stopped = sweep.make_safe(&cause);
-            Ending::Stopped { cause, stage_stopped }
+            let stage = sweep.make_safe(&cause);
+            Ending::Stopped { cause, stage }
         }
     };
     let counts = lock(sweep.bench.monitor).counts();

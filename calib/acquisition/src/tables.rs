@@ -48,6 +48,8 @@ pub enum Stream {
     /// Scans came late (the bench or the recording computer had fallen behind), or the clocks cannot be aligned: where the stage was is not
     /// known.
     Late,
+    /// The stage moved, or stood where it had not been sent: the row is of no one place.
+    Moved,
 }
 
 impl Stream {
@@ -58,6 +60,7 @@ impl Stream {
             Self::Whole => "ok",
             Self::Lost => "lost",
             Self::Late => "late",
+            Self::Moved => "moved",
         }
     }
 }
@@ -67,8 +70,10 @@ impl Stream {
 pub struct Row {
     /// Role.
     pub role: String,
-    /// Step of the plan, of a settled row.
-    pub step: Option<u32>,
+    /// Recording, from 0.
+    pub part: usize,
+    /// Step of the plan.
+    pub step: u32,
     /// Belongs to the holdout file.
     pub sealed: bool,
     /// Trajectory.

@@ -1,8 +1,7 @@
 //! Column mapping: cells of the foreign table under the session's names.
 
-use super::{ImportArgs, Kind, Model};
+use super::{Declared, ImportArgs, Kind, Model};
 use anyhow::{Context, bail, ensure};
-use std::collections::BTreeMap;
 use wcal_session::{TextTable, WHISKER_COLUMNS};
 
 /// Columns of the other kinds that are taken along wherever a table has them under these names.
@@ -89,29 +88,31 @@ pub(super) fn left_out(args: &ImportArgs, table: &TextTable) -> anyhow::Result<V
 }
 
 /// The option that takes a further column.
-pub(super) fn way_in(kind: Kind) -> &'static str {
-    match kind {
-        Kind::Transducer => "--covariate COLUMN takes one of numbers as what else may matter",
-        Kind::Axis | Kind::Whisker | Kind::Sweep | Kind::WhiskerfbgSweep => {
-            "--map NAME=COLUMN takes one under its name in the session"
-        }
-    }
+pub(super) const WAY_IN: &str =
+    "--covariate COLUMN takes one, --covariate NAME=COLUMN under its name in the session";
+
+/// A column of the foreign table and the factor that its cells are multiplied by: `COL` or `COL*FACTOR`.
+///
+/// # Errors
+/// Where the table has no such column.
+fn scaled(table: &TextTable, text: &str) -> anyhow::Result<(usize, Option<f64>)> {
+    let split = text.rsplit_once('*').filter(|_| table.columns_named(text).is_empty());
+    let Some((name, factor)) = split else { return Ok((table.column(text)?, None)) };
+    let value = factor.trim().parse::<f64>().ok().filter(|f| f.is_finite() && *f != 0.0);
+    let value = value.with_context(|| {
+        format!("{text}: expected COLUMN*FACTOR with a finite factor other than 0, found {factor:?}")
+    })?;
+    Ok((table.column(name.trim())?, Some(value)))
+}
+
+/// Millimetres in the unit of a column of an axis' errors; none for another column.
+fn error_unit_mm(name: &str) -> Option<f64> {
+    let units = [("error_um", 1e-3), ("error_mm", 1.0), ("error_in", 25.4)];
+    units.into_iter().find(|(unit, _)| *unit == name).map(|(_, mm)| mm)
 }
 
 fn plan(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, Source)>> {
     let wanted = wanted(args, table)?;
-    let mut factors = BTreeMap::new();
-    for text in &args.scale {
-        let (name, factor) = pair("scale", text)?;
-        let value: f64 =
-            factor.parse().with_context(|| format!("--scale {text}: expected a number, found {factor:?}"))?;
-        ensure!(value.is_finite() && value != 0.0, "--scale {text}: expected a finite factor other than 0");
-        ensure!(
-            wanted.iter().any(|(n, _)| n == name),
-            "--scale {text}: {name} is not among the imported columns"
-        );
-        factors.insert(name.to_owned(), value);
-    }
     let mut plan = Vec::new();
     for (name, fallback) in [("point", Source::Order), ("role", Source::Calibration)] {
         if !wanted.iter().any(|(n, _)| n == name) {
@@ -120,22 +121,23 @@ fn plan(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, Sou
     }
     if args.kind == Kind::Transducer && args.stimulus.is_none() {
         ensure!(
-            args.model == Some(Model::Constant),
+            args.model == Some(Declared::Law(Model::Constant)),
             "--stimulus is missing: expected the column of the stimulus (only --model constant does without)"
         );
         plan.push(("stimulus".to_owned(), Source::Order));
     }
     let commanded = wanted.iter().find(|(name, _)| name == "commanded_mm").cloned();
     for (name, column) in wanted {
-        let (index, factor) = (table.column(&column)?, factors.get(&name).copied());
-        let source = match &commanded {
-            Some((_, place)) if name == "measured_mm" && args.error.is_some() => Source::Position {
-                commanded: (table.column(place)?, factors.get("commanded_mm").copied().unwrap_or(1.0)),
-                error: (index, args.error_unit.mm() * factor.unwrap_or(1.0)),
-            },
-            _ => Source::Column { index, factor },
+        let (index, factor) = scaled(table, &column)?;
+        let unit_mm = error_unit_mm(&name).filter(|_| args.kind == Kind::Axis);
+        let (Some(unit_mm), Some((_, place))) = (unit_mm, &commanded) else {
+            plan.push((name, Source::Column { index, factor }));
+            continue;
         };
-        plan.push((name, source));
+        let (place, own) = scaled(table, place)?;
+        let commanded = (place, own.unwrap_or(1.0));
+        let error = (index, unit_mm * factor.unwrap_or(1.0));
+        plan.push(("measured_mm".to_owned(), Source::Position { commanded, error }));
     }
     Ok(plan)
 }
@@ -147,7 +149,7 @@ fn plan(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, Sou
 pub(super) fn repeated(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<String>> {
     let wanted = wanted(args, table)?;
     let again = |(_, column): &(String, String)| {
-        let count = table.columns_named(column).len();
+        let count = scaled(table, column).map_or(0, |(k, _)| table.columns_named(&table.columns[k]).len());
         (count > 1).then(|| {
             format!("{}: {count} columns named {column} with the same cells; counted once", table.file)
         })
@@ -163,12 +165,11 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
         !(axis && args.cycle.is_some() && args.replicate.is_some()),
         "--replicate: expected --cycle or --replicate for an axis (the repetition of a stroke is its cycle), found both"
     );
+    let errors = || args.covariates.iter().any(|c| c.split('=').next().and_then(error_unit_mm).is_some());
     ensure!(
-        !axis
-            || args.measured.is_some()
-            || args.error.is_some()
-            || args.map.iter().any(|m| m.starts_with("measured_mm=")),
-        "--measured: expected the column of the measured position, or of its error (--error), found neither"
+        !axis || args.measured.is_some() != errors(),
+        "--measured: expected the column of the measured position, or of its error (--covariate error_um=COLUMN), found {}",
+        if args.measured.is_some() { "both" } else { "neither" }
     );
     let (cycle, replicate) = if axis {
         (args.cycle.clone().or_else(|| args.replicate.clone()), None)
@@ -179,12 +180,11 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
         (args.cycle.clone(), args.replicate.clone())
     };
     let flags = [
-        ("point", &args.point),
         ("role", &args.role),
         ("stimulus", &args.stimulus),
         ("response", &args.response),
         ("commanded_mm", &args.commanded),
-        ("measured_mm", if axis && args.error.is_some() { &args.error } else { &args.measured }),
+        ("measured_mm", &args.measured),
         ("t_s", &args.time),
         ("direction", &args.direction),
         ("temperature_degc", &args.temperature),
@@ -194,11 +194,8 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
     let given = flags.iter().filter_map(|(name, column)| Some(((*name).to_owned(), (*column).clone()?)));
     let mut wanted: Vec<(String, String)> = given.collect();
     for text in &args.covariates {
+        // Without a name of its own a column keeps that of the table.
         let (name, column) = text.split_once('=').unwrap_or((text, text));
-        wanted.push((name.to_owned(), column.to_owned()));
-    }
-    for text in &args.map {
-        let (name, column) = pair("map", text)?;
         wanted.push((name.to_owned(), column.to_owned()));
     }
     let known: &[&str] = if args.kind == Kind::Whisker { &WHISKER_COLUMNS } else { SCALAR_COLUMNS };
@@ -218,9 +215,4 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
         );
     }
     Ok(wanted)
-}
-
-/// `NAME=VALUE`, split.
-fn pair<'a>(flag: &str, text: &'a str) -> anyhow::Result<(&'a str, &'a str)> {
-    text.split_once('=').with_context(|| format!("--{flag} {text}: expected NAME=VALUE, found no \"=\""))
 }

@@ -1,37 +1,54 @@
 //! `session.toml` of an imported session.
 
-use super::{ImportArgs, Kind, Model, name_of};
+use super::{Declared, ImportArgs, Kind, Model, name_of};
 use crate::simulated::is_simulated;
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use std::path::Path;
 use toml::{Table, Value};
 use wcal_session::{SESSION_FORMAT, TextTable};
 
 /// Tables of a whisker's description that are taken over.
-const TAKEN_OVER: &[&str] = &["whisker", "moments", "fbg", "trajectory", "devices", "note", "whisker_id"];
+const TAKEN_OVER: &[&str] =
+    &["medium", "whisker", "moments", "fbg", "trajectory", "devices", "note", "whisker_id"];
 
 /// Files beside `session.toml`: name and content.
 type Tables = Vec<(String, Vec<u8>)>;
 
+/// Surrounding medium of an imported session; session.toml is where another one is stated.
+pub(super) const MEDIUM: &str = "air";
+
+/// The folder's name.
+pub(super) fn identifier(args: &ImportArgs) -> anyhow::Result<String> {
+    let folder = args.out.file_name().map(|n| n.to_string_lossy().into_owned());
+    folder.context("--out: expected the name of a new folder")
+}
+
 /// Text of `session.toml`, and further files that it names.
 pub(super) fn write(args: &ImportArgs, sources: &[&TextTable]) -> anyhow::Result<(String, Tables)> {
-    let folder = args.out.file_name().map(|n| n.to_string_lossy().into_owned());
-    let id = args.id.clone().or(folder).context("--out: expected the name of a new folder")?;
+    let id = identifier(args)?;
     let mut more = Vec::new();
     let mut top = Table::new();
     let mut text = |key: &str, value: &str| top.insert(key.to_owned(), Value::from(value));
     text("format", SESSION_FORMAT);
     text("id", &id);
     text("kind", &name_of(args.kind));
-    text("medium", &args.medium);
+    text("medium", MEDIUM);
     text("created", &created()?);
     let mut files = Table::new();
     files.insert("points".to_owned(), Value::from("points.csv"));
     if sources.len() > 1 {
         files.insert("holdout".to_owned(), Value::from("holdout.csv"));
     }
-    if let Some(meta) = &args.meta {
-        take_over(meta, &mut top, &mut files, &mut more)?;
+    let whisker = match &args.model {
+        Some(Declared::Whisker(file)) if args.kind == Kind::Whisker => Some(file),
+        Some(Declared::Law(_)) if args.kind == Kind::Transducer => None,
+        None => None,
+        Some(_) => bail!(
+            "--model: expected a law for a transducer, a file WHISKER.toml for a whisker, found the other"
+        ),
+    };
+    if let Some(file) = whisker {
+        take_over(file, &mut top, &mut files, &mut more)?;
     }
     top.insert("files".to_owned(), Value::Table(files));
     if args.kind == Kind::Transducer {
@@ -39,8 +56,7 @@ pub(super) fn write(args: &ImportArgs, sources: &[&TextTable]) -> anyhow::Result
     }
     let mut provenance = provenance(sources);
     // A table out of a simulated session stays simulated.
-    let marked = args.meta.iter().chain([&args.file]).any(|path| is_simulated(path));
-    if args.simulated || marked {
+    if whisker.into_iter().chain([&args.file]).any(|path| is_simulated(path)) {
         provenance.insert("simulated".to_owned(), Value::Boolean(true));
     }
     top.insert("provenance".to_owned(), Value::Table(provenance));
@@ -64,7 +80,10 @@ pub(super) fn created() -> anyhow::Result<String> {
 fn transducer(args: &ImportArgs) -> Table {
     let counted = args.stimulus.is_none();
     let stimulus_unit = if counted { "observation" } else { args.stimulus_unit.as_str() };
-    let model = name_of(args.model.unwrap_or(Model::Linear));
+    let model = match args.model {
+        Some(Declared::Law(law)) => name_of(law),
+        _ => name_of(Model::Linear),
+    };
     [("stimulus_unit", stimulus_unit), ("response_unit", &args.response_unit), ("model", &model)]
         .into_iter()
         .map(|(key, value)| (key.to_owned(), Value::from(value)))

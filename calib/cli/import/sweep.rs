@@ -1,6 +1,6 @@
 //! A sweep over an object becomes a session of kind "sweep": readings with the poses of the base, and the object where it is known.
 
-use super::{ImportArgs, ImportDocument, Kind, RESULT, description, layout};
+use super::{ImportArgs, ImportDocument, RESULT, description, layout};
 use crate::output::OutputFolder;
 use crate::simulated::{is_simulated, word};
 use anyhow::{Context, bail, ensure};
@@ -9,9 +9,9 @@ use std::path::Path;
 use std::process::ExitCode;
 use toml::{Table, Value};
 use wcal_contact::motion_table;
-use wcal_contact::sweep_session::{KIND, pose_of};
+use wcal_contact::sweep_session::{KIND, PLACED_SD_MM, pose_of};
 use wcal_contact::table_source::base_pose;
-use wcal_session::{SESSION_FORMAT, TextTable, TextTableLayout, read_text_table, released_sweep};
+use wcal_session::{SESSION_FORMAT, TextTable, read_text_table};
 use wcal_sim::Mesh;
 
 /// Name of the object's mesh in the folder.
@@ -29,27 +29,6 @@ struct Sweep<'a> {
     left_out: Vec<String>,
     /// Readings at whose time the log tells nothing.
     without_pose: usize,
-}
-
-/// Readings in the layout of the WhiskerFBG release, along the arm's way.
-fn of_release(args: &ImportArgs) -> anyhow::Result<Sweep<'_>> {
-    let [action, mesh] = &args.more[..] else {
-        bail!(
-            "--kind whiskerfbg-sweep: expected OPTIC.csv ACTION.csv MESH.stl, found {} files",
-            1 + args.more.len()
-        );
-    };
-    let plain = TextTableLayout::default();
-    let (optic, action) = (read_text_table(&args.file, &plain)?, read_text_table(action, &plain)?);
-    let readings = released_sweep(&optic, &action)?;
-    let mut points = format!("point,t_s,fbg_1_shift_nm,fbg_2_shift_nm,{POSES}\n");
-    for (k, r) in readings.iter().enumerate() {
-        let [a, b] = r.shift_nm;
-        // In the frame of the release the arm goes along +x.
-        writeln!(points, "{k},{:.6},{a:.9},{b:.9},{:.6},0,0,1,0,0,0", r.t_s, r.way_mm)?;
-    }
-    let (rows, sources) = (readings.len(), vec![optic, action]);
-    Ok(Sweep { points, rows, object: Some(mesh), sources, left_out: Vec::new(), without_pose: 0 })
 }
 
 /// A table of readings with the poses of the base from a log.
@@ -105,26 +84,23 @@ fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep<'_>> {
 /// # Errors
 /// Where a file cannot be used, by line and column; nothing is written then.
 pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
-    let sweep = if args.kind == Kind::Sweep { of_tables(args)? } else { of_release(args)? };
+    let sweep = of_tables(args)?;
     let object = sweep.object.map(|mesh| Ok::<_, anyhow::Error>((mesh, Mesh::read(mesh)?))).transpose()?;
     if let Some(pose) = args.object_pose.as_ref().filter(|p| pose_of(p).is_none()) {
         bail!("--object-pose: expected x,y,z (mm) and a unit quaternion qw,qx,qy,qz, found {pose:?}");
     }
-    let sd_mm = args.object_sd_mm;
-    ensure!((0.0..=100.0).contains(&sd_mm), "--object-sd-mm: expected 0 to 100 mm, found {sd_mm}");
     ensure!(
         object.is_some() || args.object_pose.is_none(),
         "--object-pose: expected --object MESH.stl with it, found none"
     );
 
-    let folder = args.out.file_name().map(|n| n.to_string_lossy().into_owned());
-    let id = args.id.clone().or(folder).context("--out: expected the name of a new folder")?;
+    let id = description::identifier(args)?;
     let text = |text: &str| Value::from(text);
     let mut top: Table = [
         ("format", text(SESSION_FORMAT)),
         ("id", text(&id)),
         ("kind", text(KIND)),
-        ("medium", text(&args.medium)),
+        ("medium", text(description::MEDIUM)),
     ]
     .into_iter()
     .chain([("created", text(&description::created()?))])
@@ -136,12 +112,12 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     }
     top.insert("files".to_owned(), Value::Table(files));
     if let Some(pose) = &args.object_pose {
-        let place = [("world_from_object", Value::from(pose.clone())), ("sd_mm", Value::from(sd_mm))];
+        let place = [("world_from_object", Value::from(pose.clone())), ("sd_mm", Value::from(PLACED_SD_MM))];
         let place = place.map(|(k, v)| (k.to_owned(), v)).into_iter().collect();
         top.insert("object".to_owned(), Value::Table(place));
     }
     let mut provenance = description::provenance(&sweep.sources.iter().collect::<Vec<_>>());
-    let simulated = args.simulated || is_simulated(&args.file);
+    let simulated = is_simulated(&args.file);
     if simulated {
         provenance.insert("simulated".to_owned(), Value::Boolean(true));
     }

@@ -2,8 +2,7 @@
 
 use super::feed::{FeedInput, FeedItem};
 use super::recorded_motion::{recorded_motion, session_folder};
-use super::surface::write_surface;
-use super::{TrackArgs, accuracy, output, refuse_surface};
+use super::{TrackArgs, accuracy, output};
 use crate::interrupt;
 use crate::progress::Progress;
 use crate::simulated::is_simulated;
@@ -27,7 +26,7 @@ use wcal_contact::stream_track::{StreamFindings, StreamSettings, StreamTracks, l
 use wcal_contact::track_document::{TRACK_FORMAT, TrackDocument, TrackSource};
 use wcal_contact::track_table::TrackFiles;
 use wcal_contact::trust::WhiskerModel;
-use wcal_contact::whisker_track::{Outcome, WhiskerTrack};
+use wcal_contact::whisker_track::Outcome;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceError, DeviceErrorKind, FbgReading};
@@ -130,7 +129,6 @@ pub fn replay(
     rig: &Rig,
     loaded: &[WhiskerModel<'_>],
 ) -> Result<ExitCode> {
-    refuse_surface(args, rig.base.is_some())?;
     let log = recorded_motion(args, parts)?;
     let mut whiskers = StreamTracks::new(settings(args), (place, rig), loaded, log)?;
     if let Some((table, whisker)) = session_folder(args).and_then(session_points) {
@@ -202,7 +200,6 @@ pub fn replay(
 /// # Errors
 /// Where the devices cannot be used; a fault while tracking is one too, after what was tracked is written.
 pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_>]) -> Result<ExitCode> {
-    refuse_surface(args, rig.base.is_some())?;
     if let Some(log) = &args.motion {
         bail!(
             "--motion {}: expected a table or a recording to go with it, found a live stream",
@@ -392,7 +389,6 @@ fn conclude(
         eprintln!("warning: interrogator: {fault}");
     }
     messages.iter().for_each(|line| eprintln!("{line}"));
-    let histories: Vec<_> = whiskers.tracks().map(WhiskerTrack::history).collect();
     let document = TrackDocument {
         format: TRACK_FORMAT,
         source,
@@ -400,7 +396,6 @@ fn conclude(
         out: args.out.clone(),
         table: None,
         stream: Some(document),
-        surface: args.surface.then(|| write_surface(&args.out, &histories)).transpose()?,
     };
     let text = files.finish(&document)?;
     if args.json {
@@ -420,7 +415,6 @@ fn settings(args: &TrackArgs) -> StreamSettings {
         prefix_s: args.prefix_s,
         false_alarms_per_hour: args.false_alarms_per_hour,
         tare_s: args.tare_s.unwrap_or(0.0),
-        object_class: args.object_class.clone(),
         base_mm_s: args.base_mm_s,
         vouched: args.sweep,
         accuracy: accuracy(args),

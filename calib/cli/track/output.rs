@@ -6,7 +6,7 @@ use std::path::Path;
 use wcal_contact::track_table::{EVENT_COLUMNS, TrackFiles, companion};
 
 /// Files beside the table, by their endings.
-const COMPANIONS: [&str; 4] = [".json", "-events.csv", "-cloud.ply", "-surface.ply"];
+const COMPANIONS: [&str; 2] = [".json", "-events.csv"];
 
 /// Whether a table with this first line is a track, of this version or an earlier one.
 pub fn is_track(first: &str) -> bool {
@@ -21,12 +21,7 @@ pub fn check(out: &Path, force: bool) -> Result<()> {
     check_file(out, "track", is_track, force)?;
     // What lies beside an earlier track belongs to it.
     let earlier = out.exists() && is_track(&first_line(out)?);
-    let own = |start: &str| {
-        start.starts_with(EVENT_COLUMNS)
-            || ["wcal-track/", "comment contacts, mm", "comment touched surface, mm"]
-                .iter()
-                .any(|word| start.contains(word))
-    };
+    let own = |start: &str| start.starts_with(EVENT_COLUMNS) || start.contains("wcal-track/");
     check_beside(&COMPANIONS.map(|ending| companion(out, ending)), own, force || earlier)
 }
 

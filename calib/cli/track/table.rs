@@ -1,8 +1,7 @@
 //! Tracks of a table or of a session, whatever locates the contacts.
 
 use super::object::{PassedObject, off_object, say_object_score};
-use super::surface::write_surface;
-use super::{TrackArgs, accuracy, output, refuse_surface};
+use super::{TrackArgs, accuracy, output};
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
@@ -227,7 +226,6 @@ pub fn track(
     of: Prepared<'_>,
     loaded: &WhiskerModel<'_>,
 ) -> Result<ExitCode> {
-    refuse_surface(args, of.readings.iter().any(|r| r.base.is_some()))?;
     let facts = WhiskerFacts {
         name: String::new(),
         doubt_codes: loaded.doubts.codes(),
@@ -265,7 +263,7 @@ pub fn track(
     }
     let [rows, outside, flagged] = [whisker.rows, whisker.outside_valid_region, whisker.flagged_rows];
     let contacts_mm = track.history().contacts_mm();
-    let on_object = object.as_ref().map(|o| o.score(&contacts_mm, radius_mm)).transpose()?.flatten();
+    let on_object = object.as_ref().map(|o| o.score(contacts_mm, radius_mm)).transpose()?.flatten();
     let document = TrackDocument {
         format: TRACK_FORMAT,
         source: TrackSource::File(source.to_owned()),
@@ -274,7 +272,6 @@ pub fn track(
         table: Some(TableDocument {
             lag_s: 0.0,
             tare_s: of.groove_tracking.is_none().then_some(of.tare_s),
-            object_class: args.object_class.clone(),
             unusable_rows: unusable,
             motion: log,
             object: on_object.clone(),
@@ -283,7 +280,6 @@ pub fn track(
             whisker,
         }),
         stream: None,
-        surface: args.surface.then(|| write_surface(&args.out, &[track.history()])).transpose()?,
     };
     if document.simulated {
         eprintln!("track: SIMULATED: the readings or the calibration are not measured");

@@ -3,13 +3,13 @@
 use super::REACH;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use std::sync::{Mutex, PoisonError};
-use wcal_drivers::bench::scenario::{CameraScenario, WhiskerScenario};
-use wcal_drivers::bench::scene::{Scene, SceneState};
-use wcal_plant::cameras::{
+use wcal_bench::cameras::{
     Appearance, Board, CameraFaults, Groove, Lens, RigGeometry, View, clean, default_pair, exposed,
 };
-use wcal_plant::rod::Wire;
-use wcal_plant::table::{Path, equilibrium};
+use wcal_bench::rod::Wire;
+use wcal_bench::table::{Path, equilibrium};
+use wcal_drivers::bench::scenario::{CameraScenario, WhiskerScenario};
+use wcal_drivers::bench::scene::{Scene, SceneState};
 
 /// Pieces of the drawn centre line, mm.
 const STEP_MM: f64 = 0.25;

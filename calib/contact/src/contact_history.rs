@@ -1,20 +1,18 @@
-//! Results over all rows of a whisker: contact intervals, and the cloud of contacts for a surface.
+//! Results over all rows of a whisker: contact intervals, and the contacts on the object.
 
 use crate::estimator::ContactEstimate;
 use nalgebra::{Isometry3, Translation3, Vector3};
 use wcal_track::segments::{Segment, SegmentFinder};
 use wcal_track::stream::BasePose;
-use wcal_track::surface::CloudPoint;
 
 /// Results over the rows of one whisker.
 #[derive(Debug, Default)]
 pub struct ContactHistory {
     segments: SegmentFinder,
-    cloud: Vec<CloudPoint>,
+    contacts_mm: Vec<Vector3<f64>>,
     last_s: Option<f64>,
     /// Travel of the base along its +z since the first row by its speed, mm.
     way_mm: f64,
-    posed: bool,
 }
 
 impl ContactHistory {
@@ -24,7 +22,7 @@ impl ContactHistory {
         Self { segments: SegmentFinder::new(whisker), ..Self::default() }
     }
 
-    /// Takes a row and returns the number of its segment; `on_object`: its place is a point of the cloud.
+    /// Takes a row and returns the number of its segment; `on_object`: its place is a point of the object.
     pub fn row(
         &mut self,
         t_s: f64,
@@ -50,31 +48,15 @@ impl ContactHistory {
             })
         });
         if let (Some(world_from_base), true) = (known_way, on_object) {
-            self.posed |= base.is_some();
-            let pose = BasePose { world_from_base, velocity_mm_s: None };
-            let (point_mm, covariance_mm2) = pose.to_world(&point_mm, &covariance);
-            let normal = world_from_base.rotation * p.normal;
-            self.cloud.push(CloudPoint { point_mm, covariance_mm2, normal });
+            self.contacts_mm.push(world_from_base.transform_point(&point_mm.into()).coords);
         }
         self.segments.push(t_s, p.probability, point_mm, covariance, step_mm)
     }
 
     /// Probable contacts where the motion of the base is known, in the frame in which it moves, mm.
     #[must_use]
-    pub fn contacts_mm(&self) -> Vec<Vector3<f64>> {
-        self.cloud.iter().map(|c| c.point_mm).collect()
-    }
-
-    /// The same with covariance and normal.
-    #[must_use]
-    pub fn cloud(&self) -> &[CloudPoint] {
-        &self.cloud
-    }
-
-    /// Whether the pose of the base was known: the contacts are in the world frame.
-    #[must_use]
-    pub fn posed(&self) -> bool {
-        self.posed
+    pub fn contacts_mm(&self) -> &[Vector3<f64>] {
+        &self.contacts_mm
     }
 
     /// Readings are missing before the next row.

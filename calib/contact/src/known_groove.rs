@@ -8,10 +8,11 @@ use crate::track_document::GrooveScore;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::BTreeMap;
 use wcal_core::observation::WhiskerSpec;
-use wcal_track::score::{EstimateError, scores};
 
 /// Longest interval between a reading and the answer that it is compared with, s.
 const MAX_INTERVAL_S: f64 = 0.3;
+/// Squared radius of the 90 % region of three Gaussian numbers (chi-squared, three degrees of freedom).
+const CHI2_90: f64 = 6.251_388_631_170_32;
 /// Stated coverage of the regions, and level of significance of the test against it.
 const STATED: f64 = 0.9;
 const LEVEL: f64 = 0.01;
@@ -61,11 +62,29 @@ pub struct KnownGroove {
     next: usize,
     radius_mm: f64,
     last: Option<Answer>,
-    compared: Vec<EstimateError>,
+    compared: Vec<GrooveError>,
     /// Their times, s.
     times_s: Vec<f64>,
     /// Readings at which the tracker sees no contact.
     unseen: usize,
+}
+
+/// A place of the groove compared with its answer.
+#[derive(Debug, Clone, Copy)]
+struct GrooveError {
+    /// Distance, mm.
+    off_mm: f64,
+    /// Whether the place lies in the stated 90 % region; none where the covariance states none.
+    in_region90: Option<bool>,
+}
+
+impl GrooveError {
+    /// Of the answer less the place, with the answer's covariance.
+    fn new(off_mm: Vector3<f64>, covariance_mm2: &Matrix3<f64>) -> Self {
+        let factor = covariance_mm2.cholesky();
+        let in_region90 = factor.map(|c| off_mm.dot(&c.solve(&off_mm)) <= CHI2_90);
+        Self { off_mm: off_mm.norm(), in_region90 }
+    }
 }
 
 impl KnownGroove {
@@ -102,14 +121,8 @@ impl KnownGroove {
                 None => now,
             };
             if (chosen.t_s - place.t_s).abs() <= MAX_INTERVAL_S {
-                let off_mm = chosen.axis_mm - place.groove_mm;
-                let path = Vector3::zeros();
-                self.compared.push(EstimateError::new(
-                    off_mm.norm(),
-                    off_mm,
-                    &path,
-                    Some(&chosen.covariance_mm2),
-                ));
+                self.compared
+                    .push(GrooveError::new(chosen.axis_mm - place.groove_mm, &chosen.covariance_mm2));
                 self.times_s.push(place.t_s);
                 self.unseen += usize::from(chosen.contact < 0.5);
             }
@@ -124,16 +137,21 @@ impl KnownGroove {
         if self.compared.is_empty() {
             return None;
         }
-        let s = scores(&self.compared);
+        let mut off_mm: Vec<f64> = self.compared.iter().map(|c| c.off_mm).collect();
+        off_mm.sort_by(f64::total_cmp);
+        let quantile = |share: f64| off_mm[((off_mm.len() - 1) as f64 * share).round() as usize];
+        // A covariance that is not positive definite states nothing.
+        let stated: Vec<bool> = self.compared.iter().filter_map(|c| c.in_region90).collect();
+        let held = stated.iter().filter(|held| **held).count();
         Some(GrooveScore {
             readings: self.places.len(),
-            compared: s.samples,
+            compared: off_mm.len(),
             without_contact: self.unseen,
-            rmse_mm: s.true_contact_rmse_mm,
-            median_mm: s.true_contact_median_mm,
-            p95_mm: s.p95_mm,
-            largest_mm: self.compared.iter().map(|c| c.error_mm.norm()).fold(0.0, f64::max),
-            coverage90: s.coverage90,
+            rmse_mm: (off_mm.iter().map(|d| d * d).sum::<f64>() / off_mm.len() as f64).sqrt(),
+            median_mm: quantile(0.5),
+            p95_mm: quantile(0.95),
+            largest_mm: quantile(1.0),
+            coverage90: (!stated.is_empty()).then(|| held as f64 / stated.len() as f64),
         })
     }
 
@@ -143,14 +161,14 @@ impl KnownGroove {
     pub fn end_rmse_mm(&self, contacts_s: &[[f64; 2]]) -> Option<f64> {
         let within = |[from, to]: &[f64; 2]| self.times_s.iter().rposition(|t| (*from..=*to).contains(t));
         let last: Vec<f64> =
-            contacts_s.iter().filter_map(within).map(|k| self.compared[k].error_mm.norm_squared()).collect();
+            contacts_s.iter().filter_map(within).map(|k| self.compared[k].off_mm.powi(2)).collect();
         (!last.is_empty()).then(|| (last.iter().sum::<f64>() / last.len() as f64).sqrt())
     }
 
     /// Whether fewer places lie in the stated 90 % regions than chance explains.
     #[must_use]
     pub fn coverage_rejected(&self) -> bool {
-        let within = self.compared.iter().filter(|c| c.in_region90()).count();
+        let within = self.compared.iter().filter(|c| c.in_region90 == Some(true)).count();
         !self.compared.is_empty() && binomial_cdf(within, self.compared.len(), STATED) < LEVEL
     }
 

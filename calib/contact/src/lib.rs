@@ -21,7 +21,6 @@ pub mod known_motion;
 pub mod known_motion_stream;
 pub mod known_motion_table;
 pub mod mesh_score;
-pub mod motion_judge;
 pub mod motion_table;
 pub mod network;
 pub mod object_judgement;

@@ -1,10 +1,19 @@
-//! A network as an estimator: filters and network (TrackerStream), then what the motion allows (MotionJudge).
+//! A network as an estimator: filters and network (TrackerStream), then what the motion allows.
+//!
+//! A network knows one motion: the base goes along its +z past an object at rest, at the speeds of its training. Two moments cannot tell
+//! another one from it: presses and sweeps give the same moments. So a contact has one of two statuses:
+//!
+//! | motion | status | point | regions |
+//! |---|---|---|---|
+//! | known or vouched for, and one of training | `ok` | network's | network's |
+//! | any other, or not known | `motion-assumed` | network's | of the mixture of network and moments alone (`arc::any_motion`) |
 
 use crate::ContactError;
+use crate::arc::{any_motion, arclength_regions};
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
-use crate::motion_judge::{JudgedRow, MotionJudge, UnjudgedRow};
-use crate::reading::Reading;
+use crate::reading::{Moments, Reading};
 use crate::track_document::{EstimatorDocument, SeveralContacts};
+use nalgebra::Vector3;
 use wcal_core::stream::Flags;
 use wcal_track::filter::FilterBank;
 use wcal_track::model_file::Card;
@@ -17,14 +26,21 @@ pub struct NetworkEstimator<'a> {
     card: &'a Card,
     filters: FilterBank,
     stream: TrackerStream<'a>,
-    motion: MotionJudge,
+    /// Whether the user vouches for a motion as in training where it is not known.
+    vouched: bool,
     rows: u64,
+    assumed_rows: u64,
     /// Rows with a probability of several contacts, and those at which several are more probable than one.
     several_rows: [u64; 2],
 }
 
 /// Probability from which on a contact, or a second one, is more probable than not.
 const PROBABLE: f32 = 0.5;
+/// Largest ratio of the velocity across the base's +z to that along it in the trained motion.
+const ASIDE: f64 = 0.2;
+/// A wire loaded by this much, N mm, and by this many standard deviations, is in contact.
+const LOADED_NMM: f64 = 0.02;
+const LOADED_SDS: f64 = 5.0;
 /// Contacts of this probability and more are points of the object.
 const TOUCHED: f32 = 0.9;
 
@@ -37,32 +53,46 @@ impl<'a> NetworkEstimator<'a> {
             card,
             filters,
             stream: tracker.stream_with(filters),
-            motion: MotionJudge::new(&card.training, vouched),
+            vouched,
             rows: 0,
+            assumed_rows: 0,
             several_rows: [0; 2],
         }
     }
+
+    /// Whether a velocity of the base past what it touches (base frame, mm/s) is one of training.
+    fn trained(&self, velocity_mm_s: Option<Vector3<f64>>) -> bool {
+        let [low, high] = self.card.training.speed_mm_s();
+        velocity_mm_s.map_or(self.vouched, |w| (low..=high).contains(&w.z) && w.xy().norm() <= ASIDE * w.z)
+    }
+}
+
+/// Whether the wire is loaded, whatever the network states.
+fn loaded(moments: &Moments) -> bool {
+    let [size, sd] = [moments.moment_nmm, moments.sd_nmm].map(|m| m[0].hypot(m[1]));
+    size >= LOADED_NMM.max(LOADED_SDS * sd)
 }
 
 impl Estimator for NetworkEstimator<'_> {
     fn push(&mut self, reading: &Reading) -> Result<Vec<Contact>, ContactError> {
         self.rows += 1;
         if reading.gap {
-            // What happened in between is not known: filters, network and judge start anew.
+            // What happened in between is not known: filters and network start anew.
             self.stream = self.tracker.stream_with(self.filters);
-            self.motion.restart();
         }
         let Some(moments) = &reading.moments else { return Ok(vec![Contact::default()]) };
         let (t_s, moment_nmm) = (reading.t_s, moments.moment_nmm);
-        let answer = self.stream.push(&Sample { t_s, moment_nmm, base_mm_s: reading.base_mm_s });
-        let log_evidence = self.stream.log_evidence();
-        let (moments, velocity_mm_s) = (moments.stated(), reading.velocity_mm_s);
-        let unjudged = UnjudgedRow { t_s, moments, answer, log_evidence, velocity_mm_s };
-        let judged = self.motion.judge(unjudged, &self.tracker.inverse);
-        let several = several(&judged);
+        let mut answer = self.stream.push(&Sample { t_s, moment_nmm, base_mm_s: reading.base_mm_s });
+        let several = (answer.contact >= PROBABLE).then_some(f64::from(answer.several));
         self.several_rows[0] += u64::from(several.is_some());
         self.several_rows[1] += u64::from(several.is_some_and(|p| p > f64::from(PROBABLE)));
-        let JudgedRow { flags, answer, regions } = judged;
+        let mut flags = Flags::default();
+        if (answer.contact >= PROBABLE || loaded(moments)) && !self.trained(reading.velocity_mm_s) {
+            self.assumed_rows += 1;
+            answer = any_motion(&self.tracker.inverse, moment_nmm, moments.sd_nmm, answer);
+            flags = Flags::MOTION_ASSUMED;
+        }
+        let regions = arclength_regions(&self.tracker.inverse.nodes, &answer.weights);
         let on_object = answer.contact >= TOUCHED;
         let estimate = Some(ContactEstimate::from(&answer));
         Ok(vec![Contact { estimate, flags, regions, several, number: None, on_object }])
@@ -70,7 +100,18 @@ impl Estimator for NetworkEstimator<'_> {
 
     fn findings(&self) -> Findings {
         let [rows, probable_rows] = self.several_rows;
-        let mut messages = self.motion.messages(self.rows);
+        let mut messages = Vec::new();
+        if self.assumed_rows > 0 {
+            messages.push(Message::warning(format!(
+                "{} of {} rows are contact in a motion that is not known to be one of training: their places assume the base along its +z \
+                 past an object at rest, at {:.1} to {:.1} mm/s, their regions hold for any; marked motion-assumed in status (--sweep vouches \
+                 for the motion where it is not known)",
+                self.assumed_rows,
+                self.rows,
+                self.card.training.speed_mm_s()[0],
+                self.card.training.speed_mm_s()[1]
+            )));
+        }
         if probable_rows > 0 {
             messages.push(Message::note(format!(
                 "at {probable_rows} of {rows} rows in contact several contacts are more probable than one (several_probability above 0.5): \
@@ -80,16 +121,10 @@ impl Estimator for NetworkEstimator<'_> {
         let document = EstimatorDocument {
             model_sha256: Some(self.card.weights_sha256.clone()),
             trained_on_simulation: Some(self.card.trained_on_simulation),
-            untrained_motion: Some(self.motion.document()),
+            motion_assumed_rows: Some(self.assumed_rows),
             several_contacts: Some(SeveralContacts { rows, probable_rows }),
             ..EstimatorDocument::default()
         };
-        Findings { document, messages, doubt: self.motion.any(), ..Findings::default() }
+        Findings { document, messages, doubt: self.assumed_rows > 0, ..Findings::default() }
     }
-}
-
-/// The network's probability of several contacts where it sees contact in a motion that it may know.
-fn several(row: &JudgedRow) -> Option<f64> {
-    let knows = row.answer.contact >= PROBABLE && !row.flags.has(Flags::UNTRAINED_MOTION);
-    knows.then_some(f64::from(row.answer.several))
 }

@@ -47,8 +47,6 @@ pub struct StreamSettings {
     pub false_alarms_per_hour: f64,
     /// Time whose mean moments are the zero, s.
     pub tare_s: f64,
-    /// Class of what is touched.
-    pub object_class: Option<String>,
     /// Speed of the base along +z, where it is constant and known, mm/s.
     pub base_mm_s: Option<f64>,
     /// The user vouches for a motion as in training where it is not known.
@@ -311,7 +309,6 @@ impl<'a> StreamTracks<'a> {
             scan_rate_hz: self.settings.rate_hz,
             lag_s: filter.map(|f| f.lag_s()),
             tare_s: self.stream.tare_s,
-            object_class: self.stream.object_class.clone(),
             filter: filter.map(|f| FilterDocument {
                 kind: "linear-phase, Hann-windowed sinc",
                 gain_1_hz: f.gain(1.0),

@@ -60,9 +60,6 @@ pub struct TrackDocument {
     /// Of a stream.
     #[serde(flatten)]
     pub stream: Option<StreamDocument>,
-    /// What `--surface` wrote.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub surface: Option<SurfaceDocument>,
 }
 
 /// Of a table or a session.
@@ -73,8 +70,6 @@ pub struct TableDocument {
     /// Time whose mean moments are the zero, s; none for a session, whose rest readings are.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tare_s: Option<f64>,
-    /// Class of what is touched, where stated.
-    pub object_class: Option<String>,
     /// Readings that could not be used.
     pub unusable_rows: u64,
     /// Log of a motion.
@@ -136,9 +131,9 @@ pub struct EstimatorDocument {
     /// Always true.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trained_on_simulation: Option<bool>,
-    /// Motions that the model was never trained on.
+    /// Rows in contact in a motion that is not known to be one of training.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub untrained_motion: Option<UntrainedRows>,
+    pub motion_assumed_rows: Option<u64>,
     /// Rows with several contacts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub several_contacts: Option<SeveralContacts>,
@@ -265,17 +260,6 @@ pub struct SlidingDocument {
     pub predicted: usize,
 }
 
-/// Rows in a motion that no training sweep has.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
-pub struct UntrainedRows {
-    /// Rows.
-    pub rows: u64,
-    /// Rows by motion.
-    pub by_motion: BTreeMap<&'static str, u64>,
-    /// Rows in contact whose motion is not known and was assumed to be as in training.
-    pub assumed_rows: u64,
-}
-
 /// Rows with several contacts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
 pub struct SeveralContacts {
@@ -349,8 +333,6 @@ pub struct StreamDocument {
     pub lag_s: Option<f64>,
     /// Time whose mean moments are the zero, s.
     pub tare_s: f64,
-    /// Class of what is touched, where stated.
-    pub object_class: Option<String>,
     /// The low-pass.
     pub filter: Option<FilterDocument>,
     /// First scan by the interrogator's clock, s.
@@ -438,31 +420,4 @@ pub struct StreamMotionDocument {
     pub span_s: Option<[f64; 2]>,
     /// Lines at which the log jumps.
     pub jump_lines: Option<Vec<usize>>,
-}
-
-/// What `--surface` wrote.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, JsonSchema)]
-pub struct SurfaceDocument {
-    /// Frame of the cloud; none without points.
-    pub frame: Option<&'static str>,
-    /// Points of the cloud.
-    pub points: usize,
-    /// Contacts that the surface goes through.
-    pub surface_points: usize,
-    /// Its mesh, where there is one.
-    #[serde(flatten)]
-    pub mesh: Option<SurfaceMeshDocument>,
-}
-
-/// Mesh of a surface.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
-pub struct SurfaceMeshDocument {
-    /// Corners.
-    pub corners: usize,
-    /// Triangles.
-    pub triangles: usize,
-    /// Cell of the grid, mm.
-    pub cell_mm: f64,
-    /// Distance from the nearest contact at which the surface is cut, mm.
-    pub reach_mm: f64,
 }

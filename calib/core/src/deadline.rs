@@ -47,22 +47,41 @@ impl Signal {
 #[derive(Debug, Clone, Default)]
 pub struct Interrupt(Arc<AtomicU8>);
 
+/// Set while requests are held back.
+const HELD: u8 = 0x80;
+
+/// Requests for an end are held back until this is dropped; one that came meanwhile is heard then.
+#[derive(Debug)]
+pub struct HeldInterrupt<'a>(&'a Interrupt);
+
+impl Drop for HeldInterrupt<'_> {
+    fn drop(&mut self) {
+        self.0.0.fetch_and(!HELD, Ordering::SeqCst);
+    }
+}
+
 impl Interrupt {
     /// Asks for an end.
     pub fn set(&self, signal: Signal) {
-        self.0.store(signal as u8 + 1, Ordering::SeqCst);
+        // The flag stays as it is; the closure never declines.
+        let _ = self
+            .0
+            .fetch_update(Ordering::SeqCst, Ordering::SeqCst, |old| Some(old & HELD | (signal as u8 + 1)));
     }
 
     /// Who asks for an end, if anybody does.
     #[must_use]
     pub fn signal(&self) -> Option<Signal> {
-        let code = usize::from(self.0.load(Ordering::SeqCst));
-        code.checked_sub(1).and_then(|k| Signal::ALL.get(k).copied())
+        let code = self.0.load(Ordering::SeqCst);
+        // While they are held back nobody asks: the code with its flag is past the last signal.
+        usize::from(code).checked_sub(1).and_then(|k| Signal::ALL.get(k).copied())
     }
 
-    /// The request is being obeyed: waits on the way to a safe state last as long as they need, until somebody asks again.
-    pub fn acknowledge(&self) {
-        self.0.store(0, Ordering::SeqCst);
+    /// The request so far is being obeyed, and what comes now must not be broken off by another: stopping a stage, and reaching it again.
+    #[must_use = "requests are held back until it is dropped"]
+    pub fn hold(&self) -> HeldInterrupt<'_> {
+        self.0.store(HELD, Ordering::SeqCst);
+        HeldInterrupt(self)
     }
 
     /// [`DeviceErrorKind::Interrupted`] where somebody asks for an end.
@@ -192,8 +211,13 @@ mod tests {
         let error = long.error("stage", "poll", "a reply", "none");
         assert_eq!(error.to_string(), "stage: interrupted by SIGTERM");
         assert_eq!(interrupt.check("stage", "poll").unwrap_err().kind, DeviceErrorKind::Interrupted);
-        interrupt.acknowledge();
+        // What was asked is being obeyed; a second request waits until the stage has been stopped.
+        let held = interrupt.hold();
         assert!(!long.is_over() && interrupt.check("stage", "poll").is_ok());
+        interrupt.set(Signal::CtrlC);
+        assert!(!long.is_over() && interrupt.signal().is_none());
+        drop(held);
+        assert_eq!(interrupt.signal(), Some(Signal::CtrlC));
     }
 
     #[test]

@@ -170,6 +170,30 @@ pub struct StageReading {
     pub clocks: Clocks,
 }
 
+/// What the user allows before the first move.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Permission {
+    /// To search a missing reference: a motion to the home switch (`--home`).
+    pub home: bool,
+    /// To take back flags that a unit keeps until somebody has looked, of a stall for one, and to search the reference anew
+    /// (`--home --resume`).
+    pub clear_flags: bool,
+}
+
+impl Permission {
+    /// Whether this failure is one that the user allows to be put right.
+    #[must_use]
+    pub fn covers(self, failure: &DeviceError) -> bool {
+        match failure.kind {
+            DeviceErrorKind::NotHomed => self.home,
+            DeviceErrorKind::Stalled | DeviceErrorKind::Displaced | DeviceErrorKind::OutOfRange => {
+                self.clear_flags
+            }
+            _ => false,
+        }
+    }
+}
+
 /// A linear axis. Moves start and return at once: the caller polls `read`, so that it can watch other devices too.
 pub trait Stage {
     /// Model, serial number, firmware and settings, read from the unit.
@@ -197,6 +221,12 @@ pub trait Stage {
     /// # Errors
     /// `Stalled`, `Displaced`, `DriverOff`, `CriticalFault`, `NotHomed`, or what the link reports.
     fn read(&mut self) -> Result<StageReading, DeviceError>;
+    /// Takes back the flags that the unit keeps until somebody has looked, and names those that had forbidden to measure. Only where the
+    /// user says so ([`Permission::clear_flags`]); after it the reference is searched anew. Moves nothing.
+    ///
+    /// # Errors
+    /// What the link reports.
+    fn clear_flags(&mut self) -> Result<Vec<String>, DeviceError>;
     /// Decelerates to standstill; must be tried whatever happened before.
     ///
     /// # Errors
@@ -204,13 +234,34 @@ pub trait Stage {
     fn stop(&mut self) -> Result<(), DeviceError>;
 }
 
-/// Turns the whisker to a trajectory.
+/// Turns the whisker to a trajectory. Opening one moves nothing.
 pub trait Mount {
+    /// Whether these trajectories can be presented with what the user allows; asks, moves nothing.
+    ///
+    /// # Errors
+    /// `OutOfRange` for a trajectory past the travel, `NotHomed`, or a flag that forbids to move.
+    fn check(&mut self, _trajectories: &[u32], _allowed: Permission) -> Result<(), DeviceError> {
+        Ok(())
+    }
+    /// Takes flags back and searches a missing reference, as far as the user allows. Moves: the stage is retracted before.
+    ///
+    /// # Errors
+    /// `NotHomed`, a flag that forbids to move, or what the unit reports.
+    fn prepare(&mut self, _allowed: Permission) -> Result<(), DeviceError> {
+        Ok(())
+    }
     /// Presents `trajectory`; returns when it stands.
     ///
     /// # Errors
     /// When it cannot be reached or the user declines.
     fn select(&mut self, trajectory: u32) -> Result<(), DeviceError>;
+    /// Decelerates to standstill, whatever happened before: a link that was lost while it turned stopped nothing.
+    ///
+    /// # Errors
+    /// [`DeviceError`] when the stop could not be confirmed.
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        Ok(())
+    }
 }
 
 /// State bits that an interrogator sends with its data.

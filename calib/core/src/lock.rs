@@ -10,6 +10,9 @@ use std::path::{Path, PathBuf};
 /// Longest text of a holder, bytes.
 const TEXT_LIMIT: u64 = 1024;
 
+/// Folder of the locks of ports: the same for every process of this machine, whatever its environment says.
+const PORT_LOCKS: &str = "/tmp";
+
 /// Attempts on a file whose holders come and go.
 const ATTEMPTS: u32 = 100;
 
@@ -72,7 +75,7 @@ impl FileLock {
     /// As for [`FileLock::take`].
     pub fn of_port(port: &str, purpose: &str) -> Result<Self, LockError> {
         let name = crate::provenance::sha256_hex(same_port(port).as_bytes());
-        Self::take(&std::env::temp_dir().join(format!("wcal-port-{}.lock", &name[..16])), purpose)
+        Self::take(&Path::new(PORT_LOCKS).join(format!("wcal-port-{}.lock", &name[..16])), purpose)
     }
 }
 

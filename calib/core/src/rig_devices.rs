@@ -22,8 +22,9 @@ pub const RIG_RANGES: &[Range] = &[
     Range::real("speed_mm_s", 1e-6, 1e4),
     Range::real("approach_mm", 0.0, 1e3),
     Range::real("retract_mm", -1e5, 1e5),
-    Range::whole("address", 0.0, 254.0),
-    Range::whole("axis", 0.0, 9.0),
+    // 0 is all units, and all axes of a unit: what is meant for one would move every other.
+    Range::whole("address", 1.0, 254.0),
+    Range::whole("axis", 1.0, 9.0),
     Range::whole("baud", 300.0, 1e7),
     Range::whole("trajectory.id", 0.0, 4e9),
     Range::whole("tags.id", 0.0, 1e6),
@@ -54,12 +55,14 @@ pub const RIG_RANGES: &[Range] = &[
 
 /// Opens devices by what a rig says of them: real and virtual ones by wcal-drivers, scripted ones in tests.
 pub trait DeviceOpener {
-    /// The linear stage; opened anew after its link was lost.
+    /// The linear stage; opened anew after its link was lost, on the same line as before, whose old link is dropped first. Moves
+    /// nothing.
     ///
     /// # Errors
     /// `Configuration` for an unknown driver or a travel that is not the rig's, else what the unit reports.
     fn stage(&mut self, rig: &StageRig, clock: HostClock) -> Result<Box<dyn Stage>, DeviceError>;
     /// A motorised mount, once the stage is open (both may hang on one line); `None` where the whisker is turned by hand.
+    /// Moves nothing.
     ///
     /// # Errors
     /// What the unit reports.
@@ -155,6 +158,8 @@ pub enum MountRig {
         microstep_um: f64,
         /// Speed, mm/s.
         speed_mm_s: f64,
+        /// Travel, mm; where it is stated, compared with what the unit says.
+        travel_mm: Option<f64>,
     },
 }
 

@@ -23,13 +23,11 @@ impl Flags {
     pub const DROPPED: Self = Self(64);
     /// The filter is not full yet: since the start or since what another flag says.
     pub const FILLING: Self = Self(128);
-    /// The contact moves as in no sweep that the tracker was trained on.
-    pub const UNTRAINED_MOTION: Self = Self(256);
     /// Moments and known motion do not belong together.
     pub const MOTION_DISAGREES: Self = Self(512);
     /// The motion at this time is not known.
     pub const MOTION_LOST: Self = Self(1024);
-    /// Contact in a motion that is not known; it was assumed to be as in training, and nothing speaks against that.
+    /// Contact in a motion that is not known to be one that the network was trained on; its place assumes that it is.
     pub const MOTION_ASSUMED: Self = Self(2048);
     /// No fixed point of the object explains the moments along the known motion; one that slides does, and was assumed.
     pub const SLIDING_ASSUMED: Self = Self(4096);
@@ -37,7 +35,7 @@ impl Flags {
     /// Moments, motion and the object whose place is known do not belong together.
     pub const OBJECT_DISAGREES: Self = Self(8192);
 
-    const NAMES: [(Self, &'static str); 14] = [
+    const NAMES: [(Self, &'static str); 13] = [
         (Self::GAP, "gap"),
         (Self::PEAK_LOST, "peak-lost"),
         (Self::CROSSING, "crossing"),
@@ -46,7 +44,6 @@ impl Flags {
         (Self::CLOCK, "clock"),
         (Self::DROPPED, "dropped"),
         (Self::FILLING, "filling"),
-        (Self::UNTRAINED_MOTION, "untrained-motion"),
         (Self::MOTION_DISAGREES, "motion-disagrees"),
         (Self::MOTION_LOST, "motion-lost"),
         (Self::MOTION_ASSUMED, "motion-assumed"),

@@ -12,20 +12,8 @@ pub struct NotUtf8 {
     pub found: &'static str,
     /// What to do.
     pub way_out: &'static str,
-    /// Option of `wcal import` that reads a table so, where there is one.
-    pub option: Option<&'static str>,
-}
-
-/// The other encodings that are read on request.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Encoding {
-    /// UTF-8, with or without a byte order mark.
-    #[default]
-    Utf8,
-    /// Latin-1 (ISO 8859-1) and what Windows-1252 adds to it.
-    Latin1,
-    /// UTF-16, by its byte order mark; little-endian without one.
-    Utf16,
+    /// It is text all the same: [`decoded`] reads it.
+    pub is_text: bool,
 }
 
 /// What the first bytes of a file are that is no UTF-8 text by its beginning; none where it may be.
@@ -33,8 +21,8 @@ pub enum Encoding {
 pub fn other_than_text(bytes: &[u8]) -> Option<NotUtf8> {
     let start = &bytes[..bytes.len().min(START)];
     let sheet = "save the sheet as CSV UTF-8";
-    let says = |found, way_out| Some(NotUtf8 { found, way_out, option: None });
-    let utf16 = || Some(NotUtf8 { found: "UTF-16 text", way_out: SAVE, option: Some("--encoding utf-16") });
+    let says = |found, way_out| Some(NotUtf8 { found, way_out, is_text: false });
+    let utf16 = || Some(NotUtf8 { found: UTF_16, way_out: SAVE, is_text: true });
     match start {
         [b'P', b'K', 3, 4, ..] => says("a spreadsheet (.xlsx, .ods) or another zip archive", sheet),
         [0xd0, 0xcf, 0x11, 0xe0, ..] => says("an Excel workbook (.xls)", sheet),
@@ -65,36 +53,36 @@ pub fn utf8(bytes: &[u8]) -> Result<&str, NotUtf8> {
 
 /// Bytes that are text, and not in UTF-8.
 pub const LATIN_1: NotUtf8 =
-    NotUtf8 { found: "text in Latin-1 or Windows-1252", way_out: SAVE, option: Some("--encoding latin1") };
+    NotUtf8 { found: "text in Latin-1 or Windows-1252", way_out: SAVE, is_text: true };
+const UTF_16: &str = "UTF-16 text";
 
-/// Text in a stated encoding.
+/// Text in the encoding that its bytes have (UTF-8, UTF-16, else Latin-1 with what Windows-1252 adds), and which it is where it is not UTF-8.
 ///
 /// # Errors
-/// Where the bytes are in another one.
-pub fn decoded(bytes: &[u8], encoding: Encoding) -> Result<String, NotUtf8> {
-    let odd = NotUtf8 { found: "no UTF-16 text", way_out: "state another --encoding", option: None };
-    match encoding {
-        Encoding::Utf8 => utf8(bytes).map(str::to_owned),
-        Encoding::Latin1 => match other_than_text(bytes) {
-            Some(other) => Err(other),
-            None => Ok(bytes.iter().map(|byte| latin1(*byte)).collect()),
-        },
-        Encoding::Utf16 => {
-            let (bytes, big) = match bytes {
-                [0xfe, 0xff, rest @ ..] => (rest, true),
-                [0xff, 0xfe, rest @ ..] => (rest, false),
-                _ => (bytes, false),
-            };
-            let wide = if big { u16::from_be_bytes } else { u16::from_le_bytes };
-            if bytes.len() % 2 == 1 {
-                return Err(odd);
-            }
-            let units = bytes.chunks_exact(2).map(|pair| wide([pair[0], pair[1]]));
-            let text: String = char::decode_utf16(units).collect::<Result<_, _>>().map_err(|_| odd)?;
-            // UTF-8 taken for UTF-16 becomes letters of other scripts and no line ends.
-            if text.contains('\n') || text.contains('\r') { Ok(text) } else { Err(odd) }
-        }
+/// What the bytes are that are no text.
+pub fn decoded(bytes: &[u8]) -> Result<(String, Option<&'static str>), NotUtf8> {
+    let other = match utf8(bytes) {
+        Ok(text) => return Ok((text.to_owned(), None)),
+        Err(other) => other,
+    };
+    match other {
+        NotUtf8 { is_text: false, .. } => Err(other),
+        NotUtf8 { found: UTF_16, .. } => Ok((utf16(bytes)?, Some(UTF_16))),
+        _ => Ok((bytes.iter().map(|byte| latin1(*byte)).collect(), Some(other.found))),
     }
+}
+
+fn utf16(bytes: &[u8]) -> Result<String, NotUtf8> {
+    let (bytes, big) = match bytes {
+        [0xfe, 0xff, rest @ ..] => (rest, true),
+        [0xff, 0xfe, rest @ ..] => (rest, false),
+        _ => (bytes, false),
+    };
+    let wide = if big { u16::from_be_bytes } else { u16::from_le_bytes };
+    let units = bytes.chunks_exact(2).map(|pair| wide([pair[0], pair[1]]));
+    let odd = NotUtf8 { found: "UTF-16 text that is cut or damaged", way_out: SAVE, is_text: false };
+    let text = char::decode_utf16(units).collect::<Result<_, _>>().map_err(|_| odd)?;
+    if bytes.len() % 2 == 0 { Ok(text) } else { Err(odd) }
 }
 
 /// A byte as a character; 0x80 to 0x9f are control characters in Latin-1 and signs in Windows-1252.
@@ -121,21 +109,20 @@ mod tests {
     }
 
     #[test]
-    fn each_encoding_is_named_and_read_on_request() {
+    fn each_encoding_is_found_by_its_bytes() {
         let text = "Force (N),T (\u{b0}C)\n1,2\n";
-        assert_eq!(utf8(format!("\u{feff}{text}").as_bytes()), Ok(text));
+        let read = |bytes: &[u8]| decoded(bytes).unwrap();
+        assert_eq!(read(format!("\u{feff}{text}").as_bytes()), (text.to_owned(), None));
         let latin: Vec<u8> = text.chars().map(|c| u8::try_from(u32::from(c)).unwrap()).collect();
-        assert_eq!(utf8(&latin), Err(LATIN_1));
-        assert_eq!(decoded(&latin, Encoding::Latin1).as_deref(), Ok(text));
-        for wide in [utf16(text, true), utf16(text, false)] {
-            assert_eq!(utf8(&wide).unwrap_err().found, "UTF-16 text");
-            assert_eq!(decoded(&wide, Encoding::Utf16).unwrap().trim_start_matches('\u{feff}'), text);
-            assert!(decoded(&wide, Encoding::Latin1).is_err(), "each byte a letter, every other one zero");
-        }
+        assert_eq!(utf8(&latin), Err(LATIN_1), "a session's own tables are UTF-8");
+        assert_eq!(read(&latin), (text.to_owned(), Some(LATIN_1.found)));
         let swapped: Vec<u8> = utf16(text, true).chunks(2).flat_map(|pair| [pair[1], pair[0]]).collect();
-        assert_eq!(decoded(&swapped, Encoding::Utf16).as_deref(), Ok(text));
-        assert!(decoded(text.as_bytes(), Encoding::Utf16).is_err());
-        assert_eq!(decoded(b"\x80\x99", Encoding::Latin1).as_deref(), Ok("\u{20ac}\u{2122}"));
+        for wide in [utf16(text, true), utf16(text, false), swapped] {
+            let (found, name) = read(&wide);
+            assert_eq!((found.trim_start_matches('\u{feff}'), name), (text, Some("UTF-16 text")));
+        }
+        assert!(decoded(&utf16(text, true)[..11]).is_err(), "cut in a character");
+        assert_eq!(read(b"\x80\x99").0, "\u{20ac}\u{2122}");
     }
 
     #[test]

@@ -47,7 +47,8 @@ pub struct CableEngine {
 }
 
 /// Why a plan with softening is refused.
-pub(crate) fn no_softening(found: &str) -> TwinError {
+#[must_use]
+pub fn no_softening(found: &str) -> TwinError {
     TwinError::value(
         "softening_onset_per_m",
         "none with the mujoco engine, whose joints are linear (the rod engine softens)",

@@ -12,8 +12,9 @@ use parry3d_f64::query::PointQuery;
 use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use wcal_core::files::{FileError, write_atomic};
 use wcal_core::provenance::sha256_hex;
-use wcal_sim::{Mesh, SimError, shard};
+use wcal_sim::{Mesh, SimError};
 
 /// CoACD's largest concavity (share of the size), most parts and seed.
 const THRESHOLD: f64 = 0.03;
@@ -57,7 +58,8 @@ impl Convex {
         let made = Self { made_from, parts, beyond_mm, short_mm };
         std::fs::create_dir_all(folder).map_err(SimError::io("creating", folder))?;
         let text = serde_json::to_string(&made).map_err(|e| TwinError::Engine(e.to_string()))?;
-        shard::write_whole(&path, text.as_bytes())?;
+        let refused = |e: FileError| SimError::Io { action: e.action, path: e.path, cause: e.source };
+        write_atomic(&path, text.as_bytes()).map_err(refused)?;
         Ok(made)
     }
 

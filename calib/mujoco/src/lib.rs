@@ -13,9 +13,7 @@ pub mod groove;
 pub mod labels;
 pub mod mjcf;
 pub mod rod_comparison;
-pub mod sweeps;
 
 pub use cable_engine::CableEngine;
 pub use engine::MujocoEngine;
 pub use error::TwinError;
-pub use sweeps::MujocoSweeps;

@@ -5,8 +5,6 @@
 //! RMS of d_i - (d_(i-1) + d_i + d_(i+1)) / 3 with d = m - q; bias a mm/s is the slope of the sweeps' bias over their mean speed, weighted by
 //! sum |q_i|.
 
-mod print;
-
 use crate::convex::Convex;
 use crate::mjcf::MjcfOptions;
 use crate::{CableEngine, TwinError};
@@ -14,16 +12,12 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
 use wcal_sim::rod_engine::{LINKS, Run};
-use wcal_sim::{Dataset, Mesh, RodEngine, Sample, Sweep, SweepPlan, Verdict, read, shard};
+use wcal_sim::{Mesh, RodEngine, Sample, Sweep, SweepPlan, Verdict};
 
 /// Contacts farther apart than this are of different equilibria: the wire sprang in one engine and not yet in the other, mm.
 const ELSEWHERE_MM: f64 = 3.0;
-/// Width of a bin of speeds, mm/s, and most bins.
-const BIN_MM_S: f64 = 1.0;
-const MAX_BINS: usize = 8;
 
 /// Samples of both engines at speeds of one bin.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
@@ -65,24 +59,21 @@ pub struct RodComparison {
 }
 
 /// A place of the wire at a sample: moment (N mm) and contact nearest to the base (mm).
-type State = (Vector3<f64>, Option<Vector3<f64>>);
+pub type State = (Vector3<f64>, Option<Vector3<f64>>);
 
 /// A sample of MuJoCo's and what the rod has at its time.
 #[derive(Debug, Clone, Copy)]
-struct Both {
-    speed_mm_s: f64,
-    overlap_mm: f64,
-    settled: bool,
-    dynamic: State,
-    quasi: Option<State>,
-}
-
-/// Edges of bins over a plan's speeds.
-#[must_use]
-pub fn speed_edges(plan: &SweepPlan) -> Vec<f64> {
-    let [low, high] = plan.speed_mm_s;
-    let bins = (((high - low) / BIN_MM_S).ceil() as usize).clamp(1, MAX_BINS);
-    (0..=bins).map(|k| low + (high - low) * k as f64 / bins as f64).collect()
+pub struct BothEngines {
+    /// Speed of the base, mm/s.
+    pub speed_mm_s: f64,
+    /// Deepest overlap of the wire's skin with the mesh, mm.
+    pub overlap_mm: f64,
+    /// Whether the wire of MuJoCo came to rest.
+    pub settled: bool,
+    /// By MuJoCo.
+    pub dynamic: State,
+    /// By the rod.
+    pub quasi: Option<State>,
 }
 
 /// The same sweeps at constant speeds by both engines, one row a speed.
@@ -99,7 +90,7 @@ pub fn compare_speeds(
 ) -> Result<RodComparison, TwinError> {
     let rod = RodEngine::new(whisker, LINKS)?;
     let mut cable = CableEngine::start(whisker, options)?;
-    let mut sum = Sum::new(speeds_mm_s.iter().map(|v| [*v; 2]).collect());
+    let mut sum = ComparisonSum::new(speeds_mm_s.iter().map(|v| [*v; 2]).collect());
     for &speed in speeds_mm_s {
         let plan = SweepPlan { speed_mm_s: [speed; 2], acceleration_mm_s2: 0.0, ..plan.clone() };
         for (mesh, convex) in objects {
@@ -108,7 +99,7 @@ pub fn compare_speeds(
                 let Some(sweep) = Sweep::draw(mesh, &plan, 1, index, rod.reach_mm()) else { continue };
                 let (quasi, dynamic) =
                     (rod.run(mesh, &sweep, &plan), cable.run(mesh, &parts, &sweep, &plan)?);
-                let both: Vec<Both> = paired(&quasi, &dynamic).collect();
+                let both: Vec<BothEngines> = paired(&quasi, &dynamic).collect();
                 sum.add([dynamic.verdict.name(), quasi.verdict.name()], &both);
             }
         }
@@ -116,75 +107,9 @@ pub fn compare_speeds(
     Ok(sum.table())
 }
 
-/// MuJoCo's sweeps of a dataset in `folder` against the rod's, over the shards that are there.
-///
-/// # Errors
-/// Where a shard cannot be read.
-pub fn of_dataset(dataset: &Dataset, folder: &Path) -> Result<RodComparison, TwinError> {
-    let mut names = dataset.shards();
-    names.retain(|name| folder.join(format!("{name}.json")).exists());
-    of_shards(folder, &names, &speed_edges(&dataset.plan))
-}
-
-/// The table over shards that MuJoCo made.
-///
-/// # Errors
-/// Where a shard cannot be read.
-pub fn of_shards(folder: &Path, shards: &[String], edges: &[f64]) -> Result<RodComparison, TwinError> {
-    let mut sum = Sum::new(edges.windows(2).map(|w| [w[0], w[1]]).collect());
-    for name in shards {
-        let table = |kind: &str| read::table(&folder.join(format!("{name}.{kind}.parquet")));
-        let (sweeps, samples, contacts, rod) =
-            (table("sweeps")?, table("samples")?, table("contacts")?, table(shard::ROD)?);
-        let mut overlaps: BTreeMap<[i64; 2], f64> = BTreeMap::new();
-        let places = contacts.whole("sweep")?.iter().zip(contacts.whole("sample")?);
-        for ((&sweep, &sample), gap) in places.zip(contacts.real("gap_mm")?) {
-            let deepest = overlaps.entry([sweep, sample]).or_default();
-            *deepest = deepest.max(-gap);
-        }
-        let mut quasi: BTreeMap<[i64; 2], State> = BTreeMap::new();
-        let states = states(&rod, "rod_")?;
-        let places = rod.whole("sweep")?.iter().zip(rod.whole("sample")?);
-        for ((&sweep, &sample), state) in places.zip(states) {
-            quasi.insert([sweep, sample], state);
-        }
-        let mut by_sweep: BTreeMap<i64, Vec<Both>> = BTreeMap::new();
-        let (of, number) = (samples.whole("sweep")?, samples.whole("sample")?);
-        let (speeds, settled) = (samples.real("speed_mm_s")?, samples.whole("settled")?);
-        for (k, dynamic) in self::states(&samples, "")?.into_iter().enumerate() {
-            let key = [of[k], number[k]];
-            by_sweep.entry(of[k]).or_default().push(Both {
-                speed_mm_s: speeds[k],
-                overlap_mm: overlaps.get(&key).copied().unwrap_or(0.0),
-                settled: settled[k] == 1,
-                dynamic,
-                quasi: quasi.get(&key).copied(),
-            });
-        }
-        let verdicts = sweeps.text("verdict")?.iter().zip(sweeps.text("rod_verdict")?);
-        for (index, (dynamic, quasi)) in sweeps.whole("sweep")?.iter().zip(verdicts) {
-            sum.add([dynamic, quasi], by_sweep.get(index).map_or(&[], Vec::as_slice));
-        }
-    }
-    Ok(sum.table())
-}
-
-/// Moments and contacts of a table whose columns begin so.
-fn states(table: &read::Table, prefix: &str) -> Result<Vec<State>, TwinError> {
-    let mut moments = Vec::new();
-    let mut points = Vec::new();
-    for axis in ["x", "y", "z"] {
-        moments.push(table.real(&format!("{prefix}moment_{axis}_nmm"))?);
-        points.push(table.maybe(&format!("{prefix}contact_{axis}_mm"))?);
-    }
-    let moment = |k: usize| Vector3::new(moments[0][k], moments[1][k], moments[2][k]);
-    let point = |k: usize| Some(Vector3::new(points[0][k]?, points[1][k]?, points[2][k]?));
-    Ok((0..moments[0].len()).map(|k| (moment(k), point(k))).collect())
-}
-
-fn paired<'a>(quasi: &'a Run, dynamic: &'a Run) -> impl Iterator<Item = Both> + 'a {
+fn paired<'a>(quasi: &'a Run, dynamic: &'a Run) -> impl Iterator<Item = BothEngines> + 'a {
     let state = |s: &Sample| (s.moment_nmm, s.contacts.first().map(|c| c.point_mm));
-    dynamic.samples.iter().enumerate().map(move |(k, s)| Both {
+    dynamic.samples.iter().enumerate().map(move |(k, s)| BothEngines {
         speed_mm_s: s.speed_mm_s,
         overlap_mm: s.contacts.iter().map(|c| -c.gap_mm).fold(0.0, f64::max),
         settled: s.settled,
@@ -194,8 +119,8 @@ fn paired<'a>(quasi: &'a Run, dynamic: &'a Run) -> impl Iterator<Item = Both> + 
 }
 
 /// What is summed over sweeps.
-#[derive(Default)]
-struct Sum {
+#[derive(Debug, Default)]
+pub struct ComparisonSum {
     bins: Vec<Bin>,
     verdicts: BTreeMap<String, usize>,
     kept: usize,
@@ -204,7 +129,7 @@ struct Sum {
     sweeps: Vec<[f64; 3]>,
 }
 
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct Bin {
     speed_mm_s: [f64; 2],
     all: usize,
@@ -219,14 +144,16 @@ struct Bin {
     overlap_mm: f64,
 }
 
-impl Sum {
-    fn new(speeds: Vec<[f64; 2]>) -> Self {
+impl ComparisonSum {
+    /// Over bins of speed, mm/s: from, to.
+    #[must_use]
+    pub fn new(speeds: Vec<[f64; 2]>) -> Self {
         let bins = speeds.into_iter().map(|speed_mm_s| Bin { speed_mm_s, ..Bin::default() }).collect();
         Self { bins, ..Self::default() }
     }
 
     /// A sweep with its verdicts, by MuJoCo and by the rod.
-    fn add(&mut self, [dynamic, quasi]: [&str; 2], samples: &[Both]) {
+    pub fn add(&mut self, [dynamic, quasi]: [&str; 2], samples: &[BothEngines]) {
         self.run += 1;
         *self.verdicts.entry(format!("{dynamic} / {quasi}")).or_default() += 1;
         let kept = Verdict::Kept.name();
@@ -281,7 +208,9 @@ impl Sum {
         self.bins.iter().position(within).or_else(|| last.then(|| self.bins.len() - 1))
     }
 
-    fn table(self) -> RodComparison {
+    /// The table.
+    #[must_use]
+    pub fn table(self) -> RodComparison {
         let bias_per_mm_s = slope(&self.sweeps);
         let by_speed = self.bins.into_iter().map(Bin::row).collect();
         RodComparison { kept: [self.kept, self.run], verdicts: self.verdicts, by_speed, bias_per_mm_s }
@@ -340,9 +269,9 @@ fn slope(rows: &[[f64; 3]]) -> Option<[f64; 2]> {
 mod tests {
     use super::*;
 
-    fn both(speed_mm_s: f64, quasi_nmm: f64, dynamic_nmm: f64, apart_mm: f64) -> Both {
+    fn both(speed_mm_s: f64, quasi_nmm: f64, dynamic_nmm: f64, apart_mm: f64) -> BothEngines {
         let state = |m: f64, x: f64| (Vector3::y() * m, Some(Vector3::x() * x));
-        Both {
+        BothEngines {
             speed_mm_s,
             overlap_mm: 0.01,
             settled: true,
@@ -353,10 +282,10 @@ mod tests {
 
     #[test]
     fn a_bias_that_grows_with_the_speed_is_found() {
-        let mut sum = Sum::new(vec![[3.0, 5.0], [5.0, 7.0]]);
+        let mut sum = ComparisonSum::new(vec![[3.0, 5.0], [5.0, 7.0]]);
         for k in 0..40 {
             let speed = 3.0 + f64::from(k) / 39.0 * 4.0;
-            let moments: Vec<Both> =
+            let moments: Vec<BothEngines> =
                 [0.5, 1.0, 0.7].iter().map(|m| both(speed, *m, m * (1.0 + 0.02 * speed), 0.1)).collect();
             sum.add(["kept", "kept"], &moments);
         }
@@ -372,17 +301,16 @@ mod tests {
         assert_eq!((slow.samples + fast.samples, slow.elsewhere), (121, 0.0));
         assert!(fast.elsewhere > 0.0 && fast.contact_mm[1] < 0.11, "{fast:?}");
         // Negative control: the same moments have no bias; one speed has no slope.
-        let mut sum = Sum::new(vec![[3.0, 7.0]]);
+        let mut sum = ComparisonSum::new(vec![[3.0, 7.0]]);
         sum.add(["kept", "kept"], &[both(4.0, 1.0, 1.0, 0.0); 3]);
         let table = sum.table();
         assert!(table.by_speed[0].bias == 0.0 && table.bias_per_mm_s.is_none(), "{table:?}");
     }
 
     #[test]
-    fn bins_cover_the_plans_speeds() {
-        let edges = speed_edges(&SweepPlan::default());
-        assert_eq!(edges, [3.0, 4.0, 5.0, 6.0, 7.0]);
-        let sum = Sum::new(edges.windows(2).map(|w| [w[0], w[1]]).collect());
+    fn a_speed_falls_into_one_bin() {
+        let edges = [3.0, 4.0, 5.0, 6.0, 7.0];
+        let sum = ComparisonSum::new(edges.windows(2).map(|w| [w[0], w[1]]).collect());
         assert_eq!(
             [2.9, 3.0, 3.99, 4.0, 7.0, 7.1].map(|v| sum.bin(v)),
             [None, Some(0), Some(0), Some(1), Some(3), None]

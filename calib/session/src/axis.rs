@@ -96,16 +96,16 @@ fn unit_mismatch(name: &str, rows: &[AxisRow]) -> Result<(), crate::error::Input
     };
     let found = || format!("a slope of {slope:.5} between the columns");
     for (factor, hint) in [
-        (1e3, "measured values in um? --scale measured_mm=0.001 at import"),
+        (1e3, "measured values in um? --measured 'COLUMN*0.001' at import"),
         (
             1e-3,
-            "measured values in m, or commanded in um? --scale measured_mm=1000 or commanded_mm=0.001 at import",
+            "measured values in m, or commanded in um? --measured 'COLUMN*1000' or --commanded 'COLUMN*0.001' at import",
         ),
-        (25.4, "commanded values in inch? --scale commanded_mm=25.4 at import"),
-        (1.0 / 25.4, "measured values in inch? --scale measured_mm=25.4 at import"),
-        (10.0, "commanded values in cm? --scale commanded_mm=10 at import"),
-        (0.1, "measured values in cm? --scale measured_mm=10 at import"),
-        (-1.0, "counted the other way? --scale measured_mm=-1 at import"),
+        (25.4, "commanded values in inch? --commanded 'COLUMN*25.4' at import"),
+        (1.0 / 25.4, "measured values in inch? --measured 'COLUMN*25.4' at import"),
+        (10.0, "commanded values in cm? --commanded 'COLUMN*10' at import"),
+        (0.1, "measured values in cm? --measured 'COLUMN*10' at import"),
+        (-1.0, "counted the other way? --measured 'COLUMN*-1' at import"),
     ] {
         if (slope / factor - 1.0).abs() < 0.02 {
             return Err(error("measured and commanded positions in the same unit, mm", found()).hint(hint));
@@ -121,7 +121,7 @@ fn unit_mismatch(name: &str, rows: &[AxisRow]) -> Result<(), crate::error::Input
     }
     let largest = rows.iter().map(|r| r.measured_mm.abs()).fold(0.0, f64::max);
     let found = format!("values up to {largest} that do not follow commanded_mm (slope {slope:.5})");
-    let hint = "errors, measured less commanded? import them with --error COLUMN and --error-unit um, mm or in, in place of --measured";
+    let hint = "errors, measured less commanded? import them with --covariate error_um=COLUMN (or error_mm, error_in), in place of --measured";
     Err(error("measured positions", found).hint(hint))
 }
 
@@ -155,18 +155,16 @@ mod tests {
     #[test]
     fn what_is_no_column_of_positions_is_named_with_the_way_out() {
         let error = |x: f64, way: f64| 0.02 * x - 1.7 * way;
-        for (factor, says) in
-            [(1.0, "--error-unit um"), (1e-3, "--error-unit um"), (1e-3 / 25.4, "--error-unit um")]
-        {
+        for (factor, says) in [(1.0, "error_um="), (1e-3, "error_um="), (1e-3 / 25.4, "error_um=")] {
             let told =
                 unit_mismatch("t.csv", &rows(|x, way| factor * error(x, way))).unwrap_err().to_string();
             assert!(told.contains(says), "{factor}: {told}");
         }
         for (factor, says) in [
-            (1e3, "measured_mm=0.001"),
-            (1.0 / 25.4, "measured_mm=25.4"),
-            (25.4, "commanded_mm=25.4"),
-            (-1.0, "measured_mm=-1"),
+            (1e3, "--measured 'COLUMN*0.001'"),
+            (1.0 / 25.4, "--measured 'COLUMN*25.4'"),
+            (25.4, "--commanded 'COLUMN*25.4'"),
+            (-1.0, "--measured 'COLUMN*-1'"),
         ] {
             let told = unit_mismatch("t.csv", &rows(|x, _| factor * x)).unwrap_err().to_string();
             assert!(told.contains(says), "{factor}: {told}");

@@ -95,11 +95,11 @@ pub(crate) fn not_utf8(file: &str, found: NotUtf8) -> InputError {
 
 /// The same of a table, which an import may read.
 pub(crate) fn not_utf8_table(file: &str, found: NotUtf8) -> InputError {
-    match found.option {
-        Some(option) => {
-            not_utf8(file, found).hint(format!("{}; wcal import reads it with {option}", found.way_out))
-        }
-        None => not_utf8(file, found),
+    let error = not_utf8(file, found);
+    if found.is_text {
+        error.hint(format!("{}; wcal import reads it as it is", found.way_out))
+    } else {
+        error
     }
 }
 

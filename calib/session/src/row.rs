@@ -132,14 +132,15 @@ impl Row<'_> {
         }
     }
 
-    /// What the stream did in the reading's averaging window: `lost` or `late`; none where it was whole or the table does not say.
+    /// What happened in the reading's averaging window: `lost`, `late` or `moved`; none where it was whole or the table does not say.
     pub(crate) fn stream(&self, column: Option<Column>) -> Outcome<Option<&'static str>> {
         let Some(column) = column else { return Ok(None) };
         match self.text(column.index)? {
             "" | "ok" => Ok(None),
             "lost" => Ok(Some("lost")),
             "late" => Ok(Some("late")),
-            other => Err(self.error(column.name, "ok, lost or late", quote(other))),
+            "moved" => Ok(Some("moved")),
+            other => Err(self.error(column.name, "ok, lost, late or moved", quote(other))),
         }
     }
 

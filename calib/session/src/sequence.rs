@@ -78,7 +78,7 @@ pub(crate) fn contradicted_direction(file: &str, column: &str, rows: &[Step]) ->
     );
     let expected = format!("a direction that agrees with {column}: 1 where it rises, -1 where it falls");
     let hint = if most {
-        "turn it with --scale direction=-1 at import, or leave --direction out"
+        "turn it with --direction 'COLUMN*-1' at import, or leave --direction out"
     } else {
         "correct these rows, or leave --direction out at import"
     };
@@ -126,7 +126,7 @@ mod tests {
     fn a_direction_against_the_moves_is_named_and_other_conventions_are_not() {
         assert!(named(&axis(3, |_, way| way)).is_none());
         let all = named(&axis(3, |_, way| -way)).unwrap();
-        assert!(all.contains("6 of 6 strokes") && all.contains("--scale direction=-1"), "{all}");
+        assert!(all.contains("6 of 6 strokes") && all.contains("--direction 'COLUMN*-1'"), "{all}");
         let one = named(&axis(5, |cycle, way| if cycle == 3 { -way } else { way })).unwrap();
         assert!(one.contains("2 of 10 strokes") && one.contains("leave --direction out"), "{one}");
         // Approached from below always.

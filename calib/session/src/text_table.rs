@@ -1,10 +1,10 @@
 //! Foreign tables for import: CSV, semicolons, tabs or columns of text after some header lines.
 
-use crate::error::{InputError, SessionError, listed, not_utf8_table, quote};
+use crate::error::{InputError, SessionError, listed, not_utf8, quote};
 use crate::table::split_line;
 use std::path::Path;
 use wcal_core::provenance::sha256_hex;
-use wcal_core::text::{Encoding, decoded};
+use wcal_core::text::decoded;
 
 /// Lines that are looked at to tell another separator.
 const LOOK: usize = 20;
@@ -41,8 +41,6 @@ pub struct TextTableLayout {
     pub columns: Option<Vec<String>>,
     /// Separator.
     pub separator: Separator,
-    /// Encoding of the text.
-    pub encoding: Encoding,
     /// Decimals are written with a comma.
     pub decimal_comma: bool,
 }
@@ -58,6 +56,8 @@ pub struct TextTable {
     pub columns: Vec<String>,
     /// Line in the file and cells.
     pub rows: Vec<(usize, Vec<String>)>,
+    /// Its encoding, where that is not UTF-8.
+    pub encoding: Option<&'static str>,
     decimal_comma: bool,
     /// The separator that its lines have in place of the stated one.
     hint: Option<String>,
@@ -66,12 +66,12 @@ pub struct TextTable {
 /// Reads a foreign table; its lines end in LF, CR LF or CR.
 ///
 /// # Errors
-/// A file that cannot be read, is in another encoding, has no row, or has a row whose number of fields differs from the header's.
+/// A file that cannot be read, is no text, has no row, or has a row whose number of fields differs from the header's.
 pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTable, SessionError> {
     let file = path.display().to_string();
     let bytes = wcal_core::files::read(path).map_err(|e| SessionError::io("reading", path, e))?;
     let sha256 = sha256_hex(&bytes);
-    let mut text = decoded(&bytes, layout.encoding).map_err(|other| not_utf8_table(&file, other))?;
+    let (mut text, encoding) = decoded(&bytes).map_err(|other| not_utf8(&file, other))?;
     if text.contains('\r') && !text.contains('\n') {
         text = text.replace('\r', "\n");
     }
@@ -89,7 +89,8 @@ pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTabl
     };
     let rows: Vec<_> = records.collect();
     let hint = other_separator(text, layout.separator);
-    let table = TextTable { file, sha256, columns, rows, decimal_comma: layout.decimal_comma, hint };
+    let decimal_comma = layout.decimal_comma;
+    let table = TextTable { file, sha256, columns, rows, encoding, decimal_comma, hint };
     table.check_widths()?;
     Ok(table)
 }

@@ -60,6 +60,8 @@ pub enum WarningKind {
     ScansLost(Vec<i64>),
     /// Points whose scans came late, or whose clocks could not be aligned.
     ScansLate(Vec<i64>),
+    /// Points left out: the stage moved in their averaging windows, or stood where it had not been sent.
+    StageMoved(Vec<i64>),
     /// A grating reads the same in every row while another grating changes.
     Stuck {
         /// Grating.
@@ -179,6 +181,11 @@ impl fmt::Display for SessionWarning {
                 f,
                 "{file}: points {}: scans came late, or the clocks could not be aligned: the bench or the recording computer had fallen \
                  behind",
+                named(points)
+            ),
+            WarningKind::StageMoved(points) => write!(
+                f,
+                "{file}: points {} left out: the stage moved in their averaging window, or stood where it had not been sent",
                 named(points)
             ),
             WarningKind::Stuck { column, rows } => write!(

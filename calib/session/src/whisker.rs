@@ -182,7 +182,7 @@ pub(crate) fn read_rows(
     let mut warnings = unused_columns(&table);
     let known: HashSet<u32> = trajectories.iter().map(|t| t.id).collect();
     let (mut points, mut clock, mut rows) = (PointNumbers::default(), Clock::default(), Vec::new());
-    let [mut lost, mut late] = [Vec::new(), Vec::new()];
+    let [mut lost, mut late, mut moved] = [(); 3].map(|()| Vec::new());
     let mut left_out = LeftOut::of(path, name, columns.sensed().collect())?;
     let (mut places, mut order) = (Vec::new(), 0);
     // A free table may hold the same rounded readings many times; a session's points are poses.
@@ -193,6 +193,13 @@ pub(crate) fn read_rows(
             let point = columns.point.map_or(Ok(order - 1), |c| row.point(c))?;
             points.note(&row, point)?;
             left_out.note_overflow(code, row.line, point);
+            continue;
+        }
+        // A mean over several places is a reading of none of them.
+        if row.stream(columns.stream)? == Some("moved") {
+            let point = columns.point.map_or(Ok(order - 1), |c| row.point(c))?;
+            points.note(&row, point)?;
+            moved.push(point);
             continue;
         }
         let reading = read_row(&row, &columns, fbg, &known, requirement, order - 1)?;
@@ -217,6 +224,9 @@ pub(crate) fn read_rows(
     }
     if !late.is_empty() {
         warnings.push(SessionWarning::new(name, WarningKind::ScansLate(late)));
+    }
+    if !moved.is_empty() {
+        warnings.push(SessionWarning::new(name, WarningKind::StageMoved(moved)));
     }
     let copies = left_out.copies();
     let copied = copies.iter().map(|&k| places[k]).collect();

@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-/// What went wrong with an object, a sweep plan or a shard.
+/// What went wrong with an object or a sweep plan.
 #[derive(Debug, thiserror::Error)]
 pub enum SimError {
     /// A file could not be read or written.
@@ -36,35 +36,6 @@ pub enum SimError {
     /// An engine other than the rod is missing, refuses or failed; the text names it.
     #[error("{0}")]
     Engine(String),
-    /// A folder whose recipe is of an earlier format.
-    #[error(
-        "{}: expected a recipe of format {expected}, found {found}: an earlier version of wcal made this dataset, and its identity cannot be \
-         compared; training and evaluation read it as it is, make more sweeps in another folder", folder.display()
-    )]
-    EarlierRecipe {
-        /// Which.
-        folder: PathBuf,
-        /// Format that is written now.
-        expected: &'static str,
-        /// Format that is there.
-        found: String,
-    },
-    /// A folder that holds another dataset, or several.
-    #[error("{}: expected one dataset, found another or a mixture ({differences}); use another folder", folder.display())]
-    Mixture {
-        /// Which.
-        folder: PathBuf,
-        /// What differs.
-        differences: String,
-    },
-    /// A shard that is damaged.
-    #[error("shard {}: {detail}", path.display())]
-    Shard {
-        /// Which.
-        path: PathBuf,
-        /// How.
-        detail: String,
-    },
 }
 
 impl From<wcal_core::ranges::OutOfRange> for SimError {

@@ -3,30 +3,21 @@
 //! Lengths in mm, forces in N, moments in N mm, in the frame of the whisker's base: x along the root's tangent, the pre-curved tip
 //! toward -z. All that these modules make is SIMULATED.
 //!
-//! A dataset in the order of the work: [`objects`] and [`mesh`], a [`Sweep`] drawn by its [`SweepPlan`] ([`sweep`], [`physics`]), run by a
-//! [`SweepEngine`] ([`rod_engine`], or MuJoCo in a crate of its own), written as [`shard`]s of one [`recipe`] by a [`Dataset`], and
-//! [`read`] back.
+//! In the order of the work: [`objects`] and [`mesh`], a [`Sweep`] drawn by its [`SweepPlan`] ([`sweep`], [`physics`]), run by the
+//! [`rod_engine`], or by MuJoCo in a crate of its own.
 
-pub mod columns;
-pub mod dataset;
-pub mod engine;
 mod error;
 mod grid;
 pub mod mesh;
 pub mod objects;
 mod outside;
 pub mod physics;
-pub mod read;
-pub mod recipe;
 pub mod rod_engine;
-pub mod shard;
 mod solids;
 pub mod stl;
 pub mod sweep;
 mod test_objects;
 
-pub use dataset::{Dataset, MissingShard, Survey, Total};
-pub use engine::{RodSweeps, SweepEngine};
 pub use error::SimError;
 pub use mesh::Mesh;
 pub use rod_engine::RodEngine;

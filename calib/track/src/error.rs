@@ -1,11 +1,8 @@
 use std::path::PathBuf;
 
-/// Errors from sweeps to tracks.
+/// Errors from a model to tracks.
 #[derive(Debug, thiserror::Error)]
 pub enum TrackError {
-    /// A sweep dataset or an object.
-    #[error(transparent)]
-    Twin(#[from] wcal_sim::SimError),
     /// A wire that cannot be bent.
     #[error("whisker: {0}")]
     Rod(#[from] wcal_rod::RodError),

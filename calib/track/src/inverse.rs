@@ -37,12 +37,10 @@ pub struct InverseGrid {
     /// Nodes for each one at which the rod is solved; those between are interpolated.
     pub refine: usize,
     /// Tilts of the force at the tip: equal steps from perpendicular to the wire to straight at the root, without the last one.
-    #[serde(alias = "leans")]
     pub tilts: usize,
     /// Directions of the moment around the root.
     pub directions: usize,
     /// Largest moment, N mm, and its steps.
-    #[serde(alias = "most_nmm")]
     pub max_nmm: f64,
     /// Its steps.
     pub steps: usize,
@@ -71,10 +69,8 @@ pub const GRID_RANGES: &[Range] = &[
     Range::real("inverse.step_mm", 0.01, 1000.0),
     Range::whole("inverse.refine", 1.0, 64.0),
     Range::whole("inverse.tilts", 0.0, 64.0),
-    Range::whole("inverse.leans", 0.0, 64.0),
     Range::whole("inverse.directions", 4.0, 720.0),
     Range::real("inverse.max_nmm", 1e-6, 1e4),
-    Range::real("inverse.most_nmm", 1e-6, 1e4),
     Range::whole("inverse.steps", 2.0, 1024.0),
     Range::whole("inverse.links", 2.0, 1000.0),
 ];

@@ -3,15 +3,12 @@
 //! Paper: arXiv 2410.14005, section III. Two heads: the paper's three numbers of a place, or weights over the nodes of the static
 //! inverse's curve, which keep the answer on what the moments allow: factors, at knots, on the Bayes filter's posterior.
 
-mod attention_bias;
 mod config;
 pub mod features;
 mod kv_cache;
 pub mod model;
 
-pub use attention_bias::attention_bias;
-pub(crate) use config::PLACE_SCALE_MM;
-pub use config::{COMMON_INPUTS, NETWORK_RANGES, NetworkConfig};
+pub use config::{COMMON_INPUTS, NETWORK_RANGES, NetworkConfig, PLACE_SCALE_MM};
 pub use features::{FeatureExtractor, INITIAL_LOG_FLOOR, Token, knot_weights, knots};
-pub use kv_cache::KvCache;
-pub use model::{Output, Prediction, WhiskerNet};
+pub use kv_cache::{KvCache, time_bias_slope};
+pub use model::{Prediction, WhiskerNet};

@@ -1,4 +1,4 @@
-//! Tracks sample by sample, and whole series at once; both give the same answers.
+//! Tracks sample by sample.
 //!
 //! With outputs f_k (interpolated from the knots), o (3 numbers), floor e and mixture g of the network, and posteriors b, b' of the two filters:
 //!
@@ -13,14 +13,11 @@
 use crate::error::TrackError;
 use crate::filter::FilterBank;
 use crate::inverse::StaticInverse;
-use crate::network::model::to_vec;
 use crate::network::{
-    COMMON_INPUTS, FeatureExtractor, INITIAL_LOG_FLOOR, KvCache, NetworkConfig, PLACE_SCALE_MM, Prediction,
-    Token, WhiskerNet, attention_bias, knot_weights, knots,
+    FeatureExtractor, INITIAL_LOG_FLOOR, KvCache, NetworkConfig, PLACE_SCALE_MM, Prediction, Token,
+    WhiskerNet, knot_weights, knots,
 };
 use crate::sd_factors::SdFactors;
-use crate::sweep_series::SWEEP_STEP_S;
-use burn::tensor::{Device, Tensor, TensorData};
 
 /// A trained network with what it needs to answer.
 #[derive(Debug, Clone)]
@@ -35,8 +32,6 @@ pub struct Tracker {
     pub filters: FilterBank,
     /// Factors on the stated standard deviations: base's speed not known, and known.
     pub sd_factors: [SdFactors; 2],
-    /// Where it runs.
-    pub device: Device,
 }
 
 /// One sample: time (s), transverse moments (N mm), speed of the base along +z where it is known (mm/s).
@@ -57,8 +52,7 @@ impl Tracker {
         let nodes = self.inverse.nodes.len();
         let (nodes, width) = (knots(nodes).len(), FeatureExtractor::width(nodes, self.config.two_filters));
         self.config.check_filters(&self.filters)?;
-        let plain = self.config.inputs == COMMON_INPUTS && self.config.nodes == 0;
-        if !plain && (self.config.inputs != width || ![0, nodes].contains(&self.config.nodes)) {
+        if self.config.inputs != width || ![0, nodes].contains(&self.config.nodes) {
             let found = format!("{} inputs, {} knots", self.config.inputs, self.config.nodes);
             return Err(TrackError::value("network", format!("{width} inputs, {nodes} knots"), found));
         }
@@ -76,13 +70,13 @@ impl Tracker {
     pub fn stream_with(&self, filters: FilterBank) -> TrackerStream<'_> {
         TrackerStream {
             tracker: self,
-            features: FeatureExtractor::for_network(&self.config, &self.inverse, filters),
+            features: FeatureExtractor::new(&self.inverse, filters),
             cache: KvCache::default(),
             last_s: None,
         }
     }
 
-    /// All answers of a series in one pass.
+    /// All answers of a series, each from what came before it.
     #[must_use]
     pub fn track_series(&self, samples: &[Sample]) -> Vec<Prediction> {
         self.track_series_with(self.filters, samples)
@@ -91,21 +85,8 @@ impl Tracker {
     /// The same with other filters (measurement noise).
     #[must_use]
     pub fn track_series_with(&self, filters: FilterBank, samples: &[Sample]) -> Vec<Prediction> {
-        let mut features = FeatureExtractor::for_network(&self.config, &self.inverse, filters);
-        let mut last_s = None;
-        let tokens: Vec<Token> = samples.iter().map(|s| token(&mut features, &mut last_s, s)).collect();
-        if tokens.is_empty() {
-            return Vec::new();
-        }
-        let inputs: Vec<f32> =
-            tokens.iter().flat_map(|t| t.inputs[..self.config.inputs].iter().copied()).collect();
-        let shape = [1, tokens.len(), self.config.inputs];
-        let inputs = Tensor::<3>::from_data(TensorData::new(inputs, shape), &self.device);
-        let times = vec![samples.iter().map(|s| s.t_s).collect()];
-        let bias = attention_bias(&times, self.config.heads, self.config.context, &self.device);
-        let out = to_vec(self.net.forward(inputs, bias));
-        let both = tokens.iter().zip(samples).zip(out.chunks(self.config.outputs()));
-        both.map(|((t, s), o)| self.answer(t, o, s.base_mm_s.is_some())).collect()
+        let mut stream = self.stream_with(filters);
+        samples.iter().map(|sample| stream.push(sample)).collect()
     }
 
     fn answer(&self, token: &Token, out: &[f32], base_known: bool) -> Prediction {
@@ -198,20 +179,17 @@ impl TrackerStream<'_> {
 
     /// The answer at a sample.
     pub fn push(&mut self, sample: &Sample) -> Prediction {
-        let token = token(&mut self.features, &mut self.last_s, sample);
-        let config = &self.tracker.config;
-        let data = TensorData::new(token.inputs[..config.inputs].to_vec(), [1, 1, config.inputs]);
-        let inputs = Tensor::<3>::from_data(data, &self.tracker.device);
-        let out = self.tracker.net.step(inputs, sample.t_s, config.context, &mut self.cache);
-        self.tracker.answer(&token, &to_vec(out), sample.base_mm_s.is_some())
+        let dt_s = self.last_s.map_or(SWEEP_STEP_S, |last| sample.t_s - last);
+        self.last_s = Some(sample.t_s);
+        let token = self.features.push(dt_s, sample.moment_nmm, sample.base_mm_s);
+        let Tracker { config, net, .. } = self.tracker;
+        let out = net.step(&token.inputs, sample.t_s, config.context, &mut self.cache);
+        self.tracker.answer(&token, &out, sample.base_mm_s.is_some())
     }
 }
 
-fn token(features: &mut FeatureExtractor<'_>, last_s: &mut Option<f64>, sample: &Sample) -> Token {
-    let dt_s = last_s.map_or(SWEEP_STEP_S, |last| sample.t_s - last);
-    *last_s = Some(sample.t_s);
-    features.push(dt_s, sample.moment_nmm, sample.base_mm_s)
-}
+/// Time step of the sweeps that networks are trained on, s; that of a series' first sample.
+pub const SWEEP_STEP_S: f64 = 0.1;
 
 /// Shortest and longest time between samples that a network was trained with, s, from the factors of its training.
 #[must_use]

@@ -9,6 +9,7 @@ pub mod hyperion;
 mod link;
 pub mod open;
 pub mod sm130;
+mod trouble;
 pub mod zaber;
 
 pub use open::Drivers;

@@ -1,12 +1,13 @@
 //! A TCP connection on which nothing waits longer than its deadline, whatever the other end does.
 
 use crate::host::{io_error, is_timeout};
+use crate::trouble;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt};
-use wcal_core::device::{DeviceError, DeviceErrorKind};
+use wcal_core::device::DeviceError;
 
 /// Longest wait for a connection: an address that nobody answers at would take the system two minutes.
 pub(crate) const CONNECT: Duration = Duration::from_secs(3);
@@ -98,13 +99,7 @@ impl Link {
         let made = connect(address, &deadline).and_then(|stream| stream.set_nodelay(true).map(|()| stream));
         match made {
             Ok(stream) => Ok(Self { stream, name, interrupt: interrupt.clone() }),
-            Err(e) if is_timeout(&e) => {
-                Err(deadline.error(&name, "connect", "a connection", "no answer from this address"))
-            }
-            Err(e) => {
-                let kind = DeviceErrorKind::Disconnected;
-                Err(DeviceError::new(kind, name, "connect", "a listening unit", e.to_string()))
-            }
+            Err(e) => Err(trouble::of_connection(&name, address, &e, &deadline)),
         }
     }
 
@@ -161,6 +156,7 @@ mod tests {
     use super::*;
     use std::net::TcpListener;
     use wcal_core::deadline::Signal;
+    use wcal_core::device::DeviceErrorKind;
 
     /// A listener that accepts nobody, with a full queue: the next connection is not answered.
     fn full() -> (TcpListener, Vec<TcpStream>, String) {

@@ -4,35 +4,154 @@ use crate::cameras::{FolderCamera, NetCamera, V4l2Camera, V4l2Settings};
 use crate::hyperion::Hyperion;
 use crate::sm130::Sm130;
 use crate::zaber::units::Microsteps;
-use crate::zaber::{Chain, Port, ZaberBinary, ZaberStage};
+use crate::zaber::wire::{Connect, connect};
+use crate::zaber::{BinaryLine, Chain, Port, ZaberBinary, ZaberMount, ZaberStage, binary, check_travel};
 use std::cell::RefCell;
 use std::path::Path;
 use std::rc::Rc;
-use std::time::Duration;
 use wcal_core::clock::HostClock;
-use wcal_core::deadline::{Deadline, Interrupt, move_allowance};
+use wcal_core::deadline::Interrupt;
 use wcal_core::device::{Camera, DeviceError, DeviceErrorKind, Interrogator, Mount, Stage};
 use wcal_core::rig_devices::{CameraRig, DeviceOpener, InterrogatorRig, MountRig, StageRig};
 
-/// The drivers of this crate by their names.
-#[derive(Debug, Default)]
+/// Speeds of the factory: X-series, T-series.
+const ASCII_BAUD: u32 = 115_200;
+const BINARY_BAUD: u32 = 9600;
+
+/// The drivers of this crate by their names. Dropped, they leave the units with the speeds that they found.
 pub struct Drivers {
-    /// The serial line of an ASCII stage; a mount may be connected to it, too.
+    /// The line of an ASCII stage; a mount may be connected to it, too.
     chain: Option<Rc<RefCell<Chain>>>,
+    /// The line of a binary stage.
+    line: Option<Rc<RefCell<BinaryLine>>>,
+    connect: Connect,
     /// Ends every wait of the devices.
     interrupt: Interrupt,
+}
+
+impl Default for Drivers {
+    fn default() -> Self {
+        Self::new(&Interrupt::default())
+    }
 }
 
 impl Drivers {
     /// Devices whose waits end when the user wants an end.
     #[must_use]
     pub fn new(interrupt: &Interrupt) -> Self {
-        Self { chain: None, interrupt: interrupt.clone() }
+        Self::over(Rc::new(connect), interrupt)
+    }
+
+    /// As [`Self::new`], with links of the caller's for the ports of stage and mount.
+    #[must_use]
+    pub fn over(connect: Connect, interrupt: &Interrupt) -> Self {
+        Self { chain: None, line: None, connect, interrupt: interrupt.clone() }
+    }
+
+    /// The chain of a rig; the second time the same one, on a new link.
+    fn chain(&mut self, rig: &StageRig) -> Result<Rc<RefCell<Chain>>, DeviceError> {
+        if let Some(chain) = &self.chain {
+            chain.borrow_mut().reopen()?;
+            return Ok(Rc::clone(chain));
+        }
+        let chain = match (rig.port.starts_with("tcp://"), rig.baud) {
+            (false, None) => {
+                Chain::probe(&rig.port, rig.address, &self.interrupt, &self.connect)
+                    .map_err(|e| self.silent(e, &Port::Serial(rig.port.clone(), BINARY_BAUD), rig.address))?
+                    .0
+            }
+            _ => Chain::open(&port(rig, ASCII_BAUD), &self.interrupt, &self.connect)?,
+        };
+        let chain = Rc::new(RefCell::new(chain));
+        self.chain = Some(Rc::clone(&chain));
+        Ok(chain)
+    }
+
+    /// The line of a binary rig; the second time the same one, on a new link.
+    fn line(&mut self, rig: &StageRig) -> Result<Rc<RefCell<BinaryLine>>, DeviceError> {
+        if let Some(line) = &self.line {
+            line.borrow_mut().reopen()?;
+            return Ok(Rc::clone(line));
+        }
+        let place = port(rig, BINARY_BAUD);
+        let line =
+            Rc::new(RefCell::new(BinaryLine::open(&place, rig.address, &self.interrupt, &self.connect)?));
+        self.line = Some(Rc::clone(&line));
+        Ok(line)
+    }
+
+    /// A unit of a chain did not answer: which ones do, or one in the other protocol.
+    fn absent(&self, why: DeviceError, device: &str, address: u8) -> DeviceError {
+        let (DeviceErrorKind::Timeout, Some(chain)) = (why.kind, &self.chain) else { return why };
+        match chain.borrow_mut().units() {
+            Ok(units) if units.is_empty() => {}
+            Ok(units) => return wrong(device, "a unit at the rig's address", &no_unit(address, &units)),
+            Err(_) => return why,
+        }
+        let place = chain.borrow().place().clone();
+        // A serial port opens once at a time.
+        chain.borrow_mut().close();
+        self.silent(why, &place, address)
+    }
+
+    /// Nothing answers in ASCII: perhaps in the binary protocol.
+    fn silent(&self, why: DeviceError, place: &Port, address: u8) -> DeviceError {
+        if let Err(ended) = self.interrupt.check("stage", "open") {
+            return ended;
+        }
+        if why.kind == DeviceErrorKind::Timeout
+            && binary::answers(place, address, &self.interrupt, &self.connect)
+        {
+            let found = format!(
+                "a unit {address} that speaks the binary protocol: driver = \"zaber-binary\" under [stage], without a motorised mount"
+            );
+            return wrong("stage", "a unit that speaks the ASCII protocol", &found);
+        }
+        nobody(why)
+    }
+
+    /// Nothing answers in the binary protocol: perhaps in ASCII.
+    fn not_binary(&self, why: DeviceError, rig: &StageRig) -> DeviceError {
+        let (DeviceErrorKind::Timeout, Some(line)) = (why.kind, &self.line) else { return why };
+        let units = line.borrow_mut().units().unwrap_or_default();
+        if !units.is_empty() {
+            return wrong("stage", "a unit at the rig's address", &no_unit(rig.address, &units));
+        }
+        line.borrow_mut().close();
+        let opened = match (rig.port.starts_with("tcp://"), rig.baud) {
+            (false, None) => {
+                Chain::probe(&rig.port, rig.address, &self.interrupt, &self.connect).map(|(c, _)| c)
+            }
+            _ => Chain::open(&port(rig, ASCII_BAUD), &self.interrupt, &self.connect),
+        };
+        match opened.and_then(|mut chain| chain.units()) {
+            Ok(units) if !units.is_empty() => {
+                let found = "a unit that speaks the ASCII protocol: driver = \"zaber-ascii\" under [stage]";
+                wrong("stage", "a unit that speaks the binary protocol", found)
+            }
+            _ => nobody(why),
+        }
     }
 }
 
-fn unknown(what: &str, expected: &str, found: &str) -> DeviceError {
+fn wrong(what: &str, expected: &str, found: &str) -> DeviceError {
     DeviceError::new(DeviceErrorKind::Configuration, what, "open", expected, found)
+}
+
+fn no_unit(address: u8, there: &[u8]) -> String {
+    let list: Vec<String> = there.iter().map(u8::to_string).collect();
+    format!("no unit at address {address} (units that answer: {})", list.join(", "))
+}
+
+/// Silence in both protocols.
+fn nobody(why: DeviceError) -> DeviceError {
+    match why.kind {
+        DeviceErrorKind::Timeout => {
+            let found = format!("{}; no unit answers in either protocol: power, cable, baud?", why.found);
+            DeviceError { found, ..why }
+        }
+        _ => why,
+    }
 }
 
 fn port(rig: &StageRig, default_baud: u32) -> Port {
@@ -43,42 +162,36 @@ fn port(rig: &StageRig, default_baud: u32) -> Port {
 }
 
 impl DeviceOpener for Drivers {
-    /// Without a baud rate the line's speed is probed.
+    /// Without a baud rate the line's speed is probed. Moves nothing.
     fn stage(&mut self, rig: &StageRig, clock: HostClock) -> Result<Box<dyn Stage>, DeviceError> {
         let unit = Microsteps { size_um: rig.microstep_um };
+        // Who opens again wants to stop it, not to hear why it is silent.
+        let first = self.chain.is_none() && self.line.is_none();
         let mut stage: Box<dyn Stage> = match rig.driver.as_str() {
             "zaber-ascii" => {
-                let serial = !rig.port.starts_with("tcp://");
-                let chain = if serial && rig.baud.is_none() {
-                    Chain::probe(&rig.port, &self.interrupt)?.0
-                } else {
-                    Chain::open(&port(rig, 115_200), &self.interrupt)?
-                };
-                let chain = Rc::new(RefCell::new(chain));
-                // Questions are counted on the line of the first opening.
-                self.chain.get_or_insert_with(|| Rc::clone(&chain));
-                Box::new(ZaberStage::new(chain, rig.address, rig.axis, unit, clock)?)
+                let stage = ZaberStage::new(self.chain(rig)?, rig.address, rig.axis, unit, clock);
+                let why = |e| if first { self.absent(e, "stage", rig.address) } else { e };
+                Box::new(stage.map_err(why)?)
             }
             "zaber-binary" => {
-                let port = port(rig, 9600);
-                Box::new(ZaberBinary::open(&port, rig.address, unit, clock, &self.interrupt)?)
+                let stage = ZaberBinary::new(self.line(rig)?, unit, clock);
+                let why = |e| if first { self.not_binary(e, rig) } else { e };
+                Box::new(stage.map_err(why)?)
             }
-            other => return Err(unknown("stage", "driver zaber-ascii or zaber-binary", other)),
+            other => return Err(wrong("stage", "driver zaber-ascii or zaber-binary", other)),
         };
-        let travel = stage.travel_mm()?;
-        // A wrong microstep size would scale every position.
-        if (travel[1] - rig.travel_mm).abs() > 0.01 * rig.travel_mm {
-            let expected = format!("the rig's travel of {} mm", rig.travel_mm);
-            return Err(unknown("stage", &expected, &format!("{:.3} mm by the unit's limit", travel[1])));
-        }
+        check_travel("stage", rig.travel_mm, stage.travel_mm()?[1])?;
         Ok(stage)
     }
 
-    /// On the stage's line; homed when it has no reference.
+    /// On the stage's line.
     fn mount(&mut self, rig: &MountRig, clock: HostClock) -> Result<Option<Box<dyn Mount>>, DeviceError> {
-        let Some(chain) = &self.chain else { return Ok(None) };
-        let mount = ZaberMount::open(rig, Rc::clone(chain), clock, &self.interrupt)?;
-        Ok(mount.map(|m| Box::new(m) as Box<dyn Mount>))
+        let MountRig::Zaber { address, .. } = rig else { return Ok(None) };
+        let Some(chain) = &self.chain else {
+            return Err(wrong("mount", "a stage with driver zaber-ascii, on whose line it is", "none"));
+        };
+        let mount = ZaberMount::open(rig, Rc::clone(chain), clock, &self.interrupt);
+        Ok(mount.map_err(|e| self.absent(e, "mount", *address))?.map(|m| Box::new(m) as Box<dyn Mount>))
     }
 
     fn interrogator(
@@ -90,11 +203,11 @@ impl DeviceOpener for Drivers {
             "sm130" => Ok(Box::new(Sm130::connect(&rig.address, rig.rate_hz, clock, &self.interrupt)?)),
             "hyperion" => {
                 let peaks = rig.peaks_address.as_deref();
-                let peaks = peaks.ok_or_else(|| unknown("interrogator", "peaks_address", "none"))?;
+                let peaks = peaks.ok_or_else(|| wrong("interrogator", "peaks_address", "none"))?;
                 let commands = &rig.address;
                 Ok(Box::new(Hyperion::connect(commands, peaks, rig.rate_hz, clock, &self.interrupt)?))
             }
-            other => Err(unknown("interrogator", "driver sm130, hyperion or replay", other)),
+            other => Err(wrong("interrogator", "driver sm130, hyperion or replay", other)),
         }
     }
 
@@ -115,7 +228,7 @@ impl DeviceOpener for Drivers {
             }
             other => {
                 let name = format!("camera {}", rig.name);
-                return Err(unknown(&name, "driver v4l2, net or folder", other));
+                return Err(wrong(&name, "driver v4l2, net or folder", other));
             }
         };
         camera.configure(rig.exposure_ms, rig.gain_db)?;
@@ -123,80 +236,7 @@ impl DeviceOpener for Drivers {
     }
 
     fn repeats(&self) -> u64 {
-        self.chain.as_ref().map_or(0, |c| c.borrow().repeats())
-    }
-}
-
-/// A motorised mount on the stage's chain.
-pub struct ZaberMount {
-    stage: ZaberStage,
-    steps_per_trajectory: i64,
-    unit: Microsteps,
-    speed_mm_s: f64,
-    clock_scale: f64,
-    interrupt: Interrupt,
-}
-
-/// Longest reference search of a mount (wall time).
-const HOME: Duration = Duration::from_secs(60);
-
-impl ZaberMount {
-    /// The mount of a rig on an open chain; homed when it has no reference.
-    ///
-    /// # Errors
-    /// What the unit reports.
-    pub fn open(
-        rig: &MountRig,
-        chain: Rc<RefCell<Chain>>,
-        clock: HostClock,
-        interrupt: &Interrupt,
-    ) -> Result<Option<Self>, DeviceError> {
-        let MountRig::Zaber { address, steps_per_trajectory, microstep_um, speed_mm_s } = rig else {
-            return Ok(None);
-        };
-        let unit = Microsteps { size_um: *microstep_um };
-        let mut mount = Self {
-            stage: ZaberStage::new(chain, *address, 1, unit, clock)?,
-            steps_per_trajectory: *steps_per_trajectory,
-            unit,
-            speed_mm_s: *speed_mm_s,
-            clock_scale: clock.scale(),
-            interrupt: interrupt.clone(),
-        };
-        if mount.stage.read().is_err_and(|e| e.kind == DeviceErrorKind::NotHomed) {
-            mount.stage.start_home()?;
-        }
-        mount.until_standing(HOME)?;
-        Ok(Some(mount))
-    }
-
-    /// Waits for the end of a motion; a mount that does not get there is stopped.
-    fn until_standing(&mut self, allowed: Duration) -> Result<(), DeviceError> {
-        let deadline = Deadline::after(allowed, &self.interrupt);
-        let result = loop {
-            match self.stage.read() {
-                Ok(reading) if !reading.moving => break Ok(()),
-                Ok(reading) if deadline.is_over() => {
-                    let found = format!("still moving (BUSY) at {:.3} mm", reading.measured_mm);
-                    break Err(deadline.error("mount", "turn", "standstill", &found));
-                }
-                Ok(_) => deadline.pause(Duration::from_millis(5)),
-                Err(e) => break Err(e),
-            }
-        };
-        result.inspect_err(|_| {
-            // The error on its way to the user says more than one of the stop.
-            let _ = self.stage.stop();
-        })
-    }
-}
-
-impl Mount for ZaberMount {
-    fn select(&mut self, trajectory: u32) -> Result<(), DeviceError> {
-        let steps = i64::from(trajectory) * self.steps_per_trajectory;
-        let target_mm = self.unit.to_mm(steps as f64);
-        let way_mm = target_mm - self.stage.read()?.measured_mm;
-        self.stage.start_move(target_mm, self.speed_mm_s)?;
-        self.until_standing(move_allowance(way_mm, self.speed_mm_s, self.clock_scale))
+        let of_line = self.line.as_ref().map_or(0, |line| line.borrow().repeats());
+        self.chain.as_ref().map_or(of_line, |chain| chain.borrow().repeats())
     }
 }

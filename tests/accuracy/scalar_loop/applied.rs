@@ -35,13 +35,15 @@ fn a_table_from_a_simulation_is_marked_from_import_to_predict() {
     let place = tempfile::tempdir().unwrap();
     let at = |name: &str| place.path().join(name).display().to_string();
     let (table, read) = (nist("pontius/points.csv"), |name: &str| fs::read_to_string(at(name)).unwrap());
-    for (name, flag) in [("marked", Some("--simulated")), ("measured", None)] {
-        let marked = flag.is_some();
+    for (name, marked) in [("measured", false), ("marked", true)] {
+        if marked {
+            fs::write(at("SIMULATED"), "").unwrap();
+        }
         let (session, out, csv) = (at(name), at(&format!("{name}-out")), at(&format!("{name}.csv")));
         let import =
             ["import", table.to_str().unwrap(), "--kind", "transducer", "--model", "linear", "--stimulus"];
         let more = ["stimulus", "--response", "response", "--out", &session];
-        let run = wcal(&[&import[..], &more, &flag.into_iter().collect::<Vec<_>>()].concat());
+        let run = wcal(&[&import[..], &more].concat());
         assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
         let said = String::from_utf8_lossy(&wcal(&["verify", &session, "--out", &out]).stdout).into_owned();
         assert_eq!(said.starts_with(&format!("{name} (SIMULATED): ")), marked, "{said}");

@@ -212,20 +212,14 @@ fn errors_and_directions_of_an_axis_are_told_from_positions() {
     for (unit, factor) in [("um", 1.0), ("mm", 1e-3), ("in", 1e-3 / 25.4)] {
         let errors = stage(|x, e, way, c| format!("{x},{:e},{way},{c}\n", factor * e));
         let done = imported(&errors, &with_way);
-        assert!(
-            done.import == 1 && done.said.contains("--error COLUMN and --error-unit um, mm or in"),
-            "{}",
-            done.said
-        );
+        assert!(done.import == 1 && done.said.contains("--covariate error_um=COLUMN"), "{}", done.said);
         let by_error = [
             "--kind",
             "axis",
             "--commanded",
             "x",
-            "--error",
-            "y",
-            "--error-unit",
-            unit,
+            "--covariate",
+            &format!("error_{unit}=y"),
             "--direction",
             "way",
         ];
@@ -235,8 +229,8 @@ fn errors_and_directions_of_an_axis_are_told_from_positions() {
     // The direction the other way round: named, and right once it is turned.
     let turned = stage(|x, e, way, c| format!("{x},{:.7},{},{c}\n", x + 1e-3 * e, -way));
     let done = imported(&turned, &with_way);
-    assert!(done.import == 1 && done.said.contains("--scale direction=-1"), "{}", done.said);
-    let scaled: Vec<&str> = with_way.iter().copied().chain(["--scale", "direction=-1"]).collect();
+    assert!(done.import == 1 && done.said.contains("--direction 'COLUMN*-1'"), "{}", done.said);
+    let scaled: Vec<&str> = STAGE.iter().copied().chain(["--direction", "way*-1"]).collect();
     assert!((reversal(&imported(&turned, &scaled).run.unwrap()) - 3.5).abs() < 0.3);
     // A clock that stands still.
     let timed: Vec<&str> = STAGE.iter().copied().chain(["--time", "way"]).collect();

@@ -95,16 +95,16 @@ const IMPORTS: &[BadImport] = &[
     BadImport {
         name: "factor that is no number",
         table: b"c,m\n1,1.1\n2,2.1\n",
-        arguments: &["--kind", "axis", "--commanded", "c", "--measured", "m", "--scale", "measured_mm=k"],
+        arguments: &["--kind", "axis", "--commanded", "c", "--measured", "m*k"],
         code: 1,
-        says: &["--scale", "\"k\""],
+        says: &["m*k", "\"k\""],
     },
     BadImport {
         name: "whisker without description",
         table: b"fbg_1_nm,fbg_2_nm\n1545,1543\n",
         arguments: &["--kind", "whisker"],
         code: 2,
-        says: &["--meta"],
+        says: &["--model"],
     },
 ];
 
@@ -206,14 +206,12 @@ fn a_whisker_table_is_imported_with_its_description() {
         "t.csv",
         "--kind",
         "whisker",
-        "--meta",
+        "--model",
         "meta.toml",
-        "--map",
+        "--covariate",
         "groove_x_mm=gx",
         "--time",
-        "time_ms",
-        "--scale",
-        "t_s=0.001",
+        "time_ms*0.001",
         "--out",
         "new",
     ];

@@ -2,12 +2,15 @@
 //! a bench or a machine.
 
 use super::*;
+use std::ffi::OsStr;
 
 /// `wcal ARGUMENTS` under the limits, nothing on its input. Exit code 124: by the clock; a signal: by the processor's time. The clock's limit is
 /// wide: what waits takes no time of a processor, and a busy machine makes everything long.
 pub fn limited(folder: &Path, arguments: &[&str]) -> Output {
     let script = "ulimit -v 8000000; ulimit -t 60; exec timeout 600 \"$0\" \"$@\" < /dev/null";
-    Command::new("sh").args(["-c", script, PROGRAM]).args(arguments).current_dir(folder).output().unwrap()
+    let program = program_of(arguments[0]);
+    let script = [OsStr::new("-c"), script.as_ref(), program.get_program()];
+    Command::new("sh").args(script).args(arguments).current_dir(folder).output().unwrap()
 }
 
 /// Both outputs, and why the run is none that a user may meet: a signal, a panic, a hang, no memory.

@@ -27,7 +27,7 @@ fn a_model_of_another_filter_is_refused_by_name() {
     model(place.path(), |card| {
         assert_eq!(card["network"]["two_filters"], true);
         let training = card["training"].as_object_mut().unwrap();
-        assert!(training.remove("filter_beside").or(training.remove("filter_frictionless")).is_some());
+        assert!(training.remove("filter_frictionless").is_some());
     });
     judge(&track(), 1, &["model.json: training", "expected two, as the network weighs, found one"]).unwrap();
     model(place.path(), |card| card["network"]["attention"] = "linear".into());

@@ -1,7 +1,7 @@
 //! Documents and tables as the program writes them, on small sessions.
 
 use super::repository;
-use crate::support::program;
+use crate::support::program_of;
 use crate::support::virtual_bench::VirtualBench;
 use serde_json::Value;
 use std::path::Path;
@@ -23,8 +23,8 @@ struct Place<'a>(&'a Path);
 impl Place<'_> {
     /// Runs the program; its standard output. Words are separated by spaces.
     fn run(&self, command: &str, codes: &[i32]) -> String {
-        let mut program = program();
-        let output = program.args(command.split_whitespace()).current_dir(self.0).output().unwrap();
+        let words: Vec<&str> = command.split_whitespace().collect();
+        let output = program_of(words[0]).args(&words).current_dir(self.0).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
         let code = output.status.code().unwrap_or(-1);
         assert!(codes.contains(&code), "wcal {command}: exit code {code}, expected {codes:?}\n{said}");
@@ -140,7 +140,7 @@ fn pictured(place: &Place<'_>) -> Vec<Written> {
         "simulate --object ball --object can --object vase --object cone --sweeps 3 --report --out sweeps",
         &[0],
     );
-    place.run("train sweeps --held-out 1 --unseen 1 --epochs 1 --preset baseline --out model", &[0]);
+    place.run("train sweeps --held-out 1 --unseen 1 --epochs 1 --preset compact --out model", &[0]);
     place.run(
         "evaluate sweeps --model model --simulation-only --objects 1 --sweeps-each 1 --out evaluation",
         &[0],
@@ -153,7 +153,6 @@ fn pictured(place: &Place<'_>) -> Vec<Written> {
         place.file("recipe", "sweeps/recipe.json"),
         place.file("model", "model/model.json"),
         place.file("model", "fixtures/tracker/model.json"),
-        place.file("model", "fixtures/tracker/baseline/model.json"),
         place.file("model", "fixtures/tracker_small/model.json"),
         place.file("evaluation", "evaluation/evaluation.json"),
     ]

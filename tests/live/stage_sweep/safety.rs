@@ -266,7 +266,9 @@ fn a_session_and_a_stage_have_one_sweep_at_a_time() {
     assert_eq!(beside.status.code(), Some(1), "{said}");
     assert!(said.contains(&me) && said.contains("a session that no sweep records now"), "{said}");
     let other = bench.folder.path().join("other");
-    let run = bench.short(&["--out", &other.display().to_string()]).spawn().expect("wcal runs");
+    // Whatever its environment says: temporary files elsewhere are no other machine.
+    let mut elsewhere = bench.short(&["--out", &other.display().to_string()]);
+    let run = elsewhere.env("TMPDIR", bench.folder.path()).spawn().expect("wcal runs");
     let run = ended(run);
     let said = text(&run.stderr);
     assert_eq!(run.status.code(), Some(1), "{said}");
@@ -278,4 +280,47 @@ fn a_session_and_a_stage_have_one_sweep_at_a_time() {
     assert!(!left.iter().flatten().any(|e| e.file_name().to_string_lossy().contains("tmp")), "{left:?}");
     let run = bench.short(&["--out", &other.display().to_string()]).spawn().expect("wcal runs");
     finished(&ended(run), 6);
+}
+
+/// What a user of the virtual bench meets first: it has ended, its addresses were never filled in, or its input was closed from the start.
+#[test]
+fn a_bench_that_is_not_there_says_what_to_do() {
+    let refused = |mut command: Command| {
+        let run = command.stdout(Stdio::piped()).stderr(Stdio::piped()).output().expect("wcal runs");
+        assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
+        text(&run.stderr)
+    };
+    let mut bench = Bench::start("");
+    let session = bench.session().display().to_string();
+    finished(&bench.run_short("--out"), 6);
+    // Its input closes, and it ends.
+    bench.served.end();
+    let new = bench.folder.path().join("new").display().to_string();
+    let said = refused(bench.short(&["--out", &new]));
+    assert!(said.contains("nothing that listens at 127.0.0.1:"), "{said}");
+    assert!(
+        said.contains("is `wcal virtual-bench` still running? its addresses are new at each start"),
+        "{said}"
+    );
+    assert!(!Path::new(&new).exists() && Path::new(&session).exists());
+    // Without --bench the rig has a word where its port belongs.
+    let mut plain = program();
+    plain.arg("stage-sweep").arg("--rig").arg(&bench.rig).args(["--home", "--out", &new]);
+    plain.arg("--plan").arg(bench.folder.path().join("short.toml"));
+    let said = refused(plain);
+    assert!(said.contains("the placeholder PORT in 127.0.0.1:PORT: `--bench ADDRESSES.json`"), "{said}");
+    let alone = |input: Stdio| {
+        let mut command = program();
+        command.args(["virtual-bench", "--scenario"]).arg(bench.folder.path().join("scenario.toml"));
+        command.stdin(input).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("wcal runs")
+    };
+    let closed = ended(alone(Stdio::null()));
+    assert!(text(&closed.stderr).contains("virtual-bench: its input closed, so it ends"), "{closed:?}");
+    // Control: with an input that stays open it runs on.
+    let mut open = alone(Stdio::piped());
+    std::thread::sleep(Duration::from_secs(2));
+    assert!(open.try_wait().expect("a child").is_none());
+    open.kill().expect("killed");
+    let said = text(&open.wait_with_output().expect("ends").stderr);
+    assert!(!said.contains("input closed"), "{said}");
 }

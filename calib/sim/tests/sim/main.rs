@@ -8,7 +8,7 @@
     reason = "a test that fails should say where, and one that measures says what it found"
 )]
 
-mod dataset;
+mod meshes;
 mod outside;
 mod physics;
 mod sweeps;

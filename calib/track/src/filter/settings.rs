@@ -7,8 +7,7 @@ use wcal_core::ranges::Range;
 /// Largest number of hypotheses for the coefficient of friction.
 const MAX_FRICTIONS: usize = 3;
 
-/// Parameters of one filter. A pair of numbers is a constant part and a part by the base's travel, unless stated otherwise. The aliases are
-/// the names in models of before 2026-11-25.
+/// Parameters of one filter. A pair of numbers is a constant part and a part by the base's travel, unless stated otherwise.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct BayesSettings {
@@ -17,10 +16,8 @@ pub struct BayesSettings {
     /// Standard deviation of the moments' noise, N mm.
     pub noise_nmm: f64,
     /// Standard deviation of the rigid-body constraint: a constant part, mm, and a part of the base's travel.
-    #[serde(alias = "rule_mm")]
     pub constraint_sd_mm: f64,
     /// See `constraint_sd_mm`.
-    #[serde(alias = "rule_share")]
     pub constraint_sd_share: f64,
     /// Coefficients of friction considered, in rising order (the last one repeated where there are fewer), and the standard deviation
     /// about each above 0.
@@ -28,84 +25,58 @@ pub struct BayesSettings {
     /// See `friction`.
     pub friction_sd: f64,
     /// Standard deviation of the constraint by a turn of the force, as a part of the turn times the slip on the surface.
-    #[serde(alias = "edge")]
     pub turn_share: f64,
     /// Fraction of steps that violate the constraint (several contacts, contact along a line), and their standard deviation: a constant part,
     /// mm, and a part of the slip on the surface.
-    #[serde(alias = "wide")]
     pub outlier_fraction: f64,
     /// See `outlier_fraction`.
-    #[serde(alias = "wide_mm")]
     pub outlier_sd_mm: f64,
     /// See `outlier_fraction`.
-    #[serde(alias = "wide_share")]
     pub outlier_sd_share: f64,
     /// Standard deviation of the path along the wire about the predicted one, mm and by the base's travel: at constant velocity, at a perturbed
     /// one, and where the velocity is redrawn, with the mean `reset_mean` by the base's travel.
-    #[serde(alias = "steady")]
     pub constant_velocity: [f64; 2],
     /// See `constant_velocity`.
-    #[serde(alias = "unsteady")]
     pub perturbed: [f64; 2],
     /// See `constant_velocity`.
-    #[serde(alias = "changed")]
     pub reset: [f64; 2],
     /// See `constant_velocity`.
-    #[serde(alias = "changed_mean")]
     pub reset_mean: f64,
     /// Fractions of such steps.
-    #[serde(alias = "unsteady_share")]
     pub perturbed_fraction: f64,
     /// See `perturbed_fraction`.
-    #[serde(alias = "changed_share")]
     pub reset_fraction: f64,
     /// The same of the force's turn at the tip: rad, and rad/mm.
-    #[serde(alias = "tip_steady")]
     pub tip_constant_velocity: [f64; 2],
     /// See `tip_constant_velocity`.
-    #[serde(alias = "tip_unsteady")]
     pub tip_perturbed: [f64; 2],
     /// See `tip_constant_velocity`.
-    #[serde(alias = "tip_changed")]
     pub tip_reset: [f64; 2],
     /// Probability that the force at the tip turns to any direction (an edge).
-    #[serde(alias = "turn_any")]
     pub tip_uniform_fraction: f64,
     /// Mean turn of the force about the wire over a step: rad, and rad/mm.
-    #[serde(alias = "bend")]
     pub turn: [f64; 2],
     /// The same where the object is sharp, and the fraction of such steps.
-    #[serde(alias = "sharp")]
     pub sharp_turn: [f64; 2],
     /// See `sharp_turn`.
-    #[serde(alias = "sharp_share")]
     pub sharp_fraction: f64,
     /// Where wires are touched first: mean and standard deviation of the arc length, as shares of the wire's length.
-    #[serde(alias = "touch_at")]
     pub first_contact_at: [f64; 2],
     /// Probability that the contact jumps, by the base's travel, 1/mm.
-    #[serde(alias = "spring_per_mm")]
     pub jump_per_mm: f64,
     /// Mean path of a jump along the wire, toward the root and toward the tip, mm.
-    #[serde(alias = "spring_mm")]
     pub jump_path_mm: [f64; 2],
     /// Mean distance of a jump against the force, where short and where long, mm; fraction of jumps along it.
-    #[serde(alias = "spring_off_mm")]
     pub jump_off_mm: [f64; 2],
     /// See `jump_off_mm`.
-    #[serde(alias = "spring_back")]
     pub jump_back_fraction: f64,
     /// Mean turn of the force about the wire in a jump, rad.
-    #[serde(alias = "spring_turn")]
     pub jump_turn_rad: f64,
     /// Fraction of jumps to anywhere on the wire.
-    #[serde(alias = "spring_anywhere")]
     pub jump_anywhere_fraction: f64,
     /// Fraction of jumps to the tip: from the wire, and from the tip.
-    #[serde(alias = "spring_to_tip")]
     pub jump_to_tip_fraction: f64,
     /// See `jump_to_tip_fraction`.
-    #[serde(alias = "spring_at_tip")]
     pub jump_at_tip_fraction: f64,
     /// Speeds considered where the base's is not known, mm/s, and their number.
     pub speed_mm_s: [f64; 2],
@@ -120,66 +91,38 @@ pub const FILTER_RANGES: &[Range] = &[
     Range::real("onset_nmm", 0.0, 1e3),
     Range::real("noise_nmm", 1e-9, 1e3),
     Range::real("constraint_sd_mm", 1e-9, 1e3),
-    Range::real("rule_mm", 1e-9, 1e3),
     Range::real("constraint_sd_share", 0.0, 1e3),
-    Range::real("rule_share", 0.0, 1e3),
     Range::real("friction", 0.0, 10.0),
     Range::real("friction_sd", 1e-9, 10.0),
     Range::real("turn_share", 0.0, 1e3),
-    Range::real("edge", 0.0, 1e3),
     Range::real("outlier_fraction", 0.0, 1.0),
-    Range::real("wide", 0.0, 1.0),
     Range::real("outlier_sd_mm", 1e-9, 1e3),
-    Range::real("wide_mm", 1e-9, 1e3),
     Range::real("outlier_sd_share", 0.0, 1e3),
-    Range::real("wide_share", 0.0, 1e3),
     Range::real("perturbed_fraction", 0.0, 1.0),
-    Range::real("unsteady_share", 0.0, 1.0),
     Range::real("reset_fraction", 0.0, 1.0),
-    Range::real("changed_share", 0.0, 1.0),
     Range::real("tip_uniform_fraction", 0.0, 1.0),
-    Range::real("turn_any", 0.0, 1.0),
     Range::real("sharp_fraction", 0.0, 1.0),
-    Range::real("sharp_share", 0.0, 1.0),
     Range::real("jump_per_mm", 0.0, 1e3),
-    Range::real("spring_per_mm", 0.0, 1e3),
     Range::real("jump_back_fraction", 0.0, 1.0),
-    Range::real("spring_back", 0.0, 1.0),
     Range::real("jump_anywhere_fraction", 0.0, 1.0),
-    Range::real("spring_anywhere", 0.0, 1.0),
     Range::real("jump_to_tip_fraction", 0.0, 1.0),
-    Range::real("spring_to_tip", 0.0, 1.0),
     Range::real("jump_at_tip_fraction", 0.0, 1.0),
-    Range::real("spring_at_tip", 0.0, 1.0),
     Range::real("speed_mm_s", 1e-6, 1e5),
     Range::whole("speeds", 1.0, 200.0),
     Range::real("speed_change_per_s", 0.0, 1e3),
     Range::real("constant_velocity", 0.0, 1e3),
-    Range::real("steady", 0.0, 1e3),
     Range::real("perturbed", 0.0, 1e3),
-    Range::real("unsteady", 0.0, 1e3),
     Range::real("reset", 0.0, 1e3),
-    Range::real("changed", 0.0, 1e3),
     Range::real("reset_mean", 0.0, 1e3),
-    Range::real("changed_mean", 0.0, 1e3),
     Range::real("tip_constant_velocity", 0.0, 1e3),
-    Range::real("tip_steady", 0.0, 1e3),
     Range::real("tip_perturbed", 0.0, 1e3),
-    Range::real("tip_unsteady", 0.0, 1e3),
     Range::real("tip_reset", 0.0, 1e3),
-    Range::real("tip_changed", 0.0, 1e3),
     Range::real("turn", 0.0, 1e3),
-    Range::real("bend", 0.0, 1e3),
     Range::real("sharp_turn", 0.0, 1e3),
-    Range::real("sharp", 0.0, 1e3),
     Range::real("first_contact_at", 1e-6, 10.0),
-    Range::real("touch_at", 1e-6, 10.0),
     Range::real("jump_path_mm", 1e-6, 1e3),
-    Range::real("spring_mm", 1e-6, 1e3),
     Range::real("jump_off_mm", 1e-6, 1e3),
-    Range::real("spring_off_mm", 1e-6, 1e3),
     Range::real("jump_turn_rad", 0.0, 1e3),
-    Range::real("spring_turn", 0.0, 1e3),
 ];
 
 impl BayesSettings {

@@ -9,7 +9,7 @@ use wcal_core::ranges::Range;
 /// Inputs that do not belong to a node; they come first.
 pub const COMMON_INPUTS: usize = 9;
 /// Scale of a place that comes out of the network as it is, mm.
-pub(crate) const PLACE_SCALE_MM: f64 = 30.0;
+pub const PLACE_SCALE_MM: f64 = 30.0;
 
 /// Size and kind of the network.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -71,58 +71,21 @@ impl NetworkConfig {
         }
     }
 
-    /// The default network on a curve of `nodes` knots, by one filter or two.
-    #[must_use]
-    pub fn small(inputs: usize, nodes: usize, two_filters: bool) -> Self {
-        Self {
-            inputs,
-            nodes,
-            encoder: 128,
-            layers: 3,
-            heads: 6,
-            width: 96,
-            feed_forward: 256,
-            dropout: 0.0,
-            context: 128,
-            two_filters,
-        }
-    }
-
-    /// As `small`, of a third of its parameters (101 thousand on 33 knots with two filters): two layers in place of three, each of half the
-    /// size.
+    /// A network on a curve of `nodes` knots, by one filter or two: 101 thousand parameters on 33 knots with two.
     #[must_use]
     pub fn compact(inputs: usize, nodes: usize, two_filters: bool) -> Self {
         Self {
+            inputs,
+            nodes,
             encoder: 80,
             layers: 2,
             heads: 4,
             width: 64,
             feed_forward: 144,
-            ..Self::small(inputs, nodes, two_filters)
-        }
-    }
-
-    /// A transformer of 40 thousand parameters with moments, their rates, time step and the base's speed as inputs, and no rod.
-    #[must_use]
-    pub fn baseline() -> Self {
-        Self {
-            inputs: COMMON_INPUTS,
-            nodes: 0,
-            encoder: 32,
-            layers: 2,
-            heads: 4,
-            width: 48,
-            feed_forward: 96,
             dropout: 0.0,
             context: 128,
-            two_filters: false,
+            two_filters,
         }
-    }
-
-    /// Whether it has no inputs from the rod's curve and the filter.
-    #[must_use]
-    pub fn moments_only(&self) -> bool {
-        self.nodes == 0 && self.inputs <= COMMON_INPUTS
     }
 
     /// # Errors
@@ -168,26 +131,5 @@ impl NetworkConfig {
     pub fn outputs(&self) -> usize {
         let with_knots = if self.nodes > 0 { 1 + usize::from(self.two_filters) } else { 0 };
         self.nodes + 3 + 2 + with_knots
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::NetworkConfig;
-    use crate::network::{FeatureExtractor, WhiskerNet, knots};
-    use burn::module::Module;
-    use burn::tensor::Device;
-
-    /// Nodes of the curve that networks are built on.
-    const NODES: usize = 129;
-
-    #[test]
-    fn compact_has_a_third_of_the_parameters() {
-        let (inputs, knots) = (FeatureExtractor::width(NODES, true), knots(NODES).len());
-        let sizes = [NetworkConfig::compact, NetworkConfig::small].map(|of| of(inputs, knots, true));
-        let [compact, small] =
-            sizes.map(|sizes| WhiskerNet::new(&sizes, &Device::flex()).unwrap().num_params());
-        println!("{compact} and {small} parameters");
-        assert!(3 * compact <= small && 4 * compact > small, "{compact} {small}");
     }
 }

@@ -11,7 +11,7 @@
 //!
 //! Knots are every fourth node; what lies between is shared by linear interpolation. N mm, mm, s.
 
-use super::config::{COMMON_INPUTS, NetworkConfig};
+use super::config::COMMON_INPUTS;
 use crate::filter::{BayesFilter, FilterBank};
 use crate::inverse::{InverseSolution, StaticInverse};
 use nalgebra::Vector3;
@@ -82,8 +82,6 @@ pub struct FeatureExtractor<'a> {
     knots: Vec<usize>,
     knot_weights: Vec<(usize, f32)>,
     before: Option<([f64; 2], Vec<InverseSolution>)>,
-    /// The network has no inputs from rod and filter: neither is evaluated.
-    moments_only: bool,
 }
 
 impl<'a> FeatureExtractor<'a> {
@@ -98,14 +96,7 @@ impl<'a> FeatureExtractor<'a> {
             knots: knots(nodes),
             knot_weights: knot_weights(nodes),
             before: None,
-            moments_only: false,
         }
-    }
-
-    /// For a network of these sizes.
-    #[must_use]
-    pub fn for_network(config: &NetworkConfig, inverse: &'a StaticInverse, filters: FilterBank) -> Self {
-        Self { moments_only: config.moments_only(), ..Self::new(inverse, filters) }
     }
 
     /// Inputs of a token on a curve of this many nodes, by one filter or two.
@@ -119,10 +110,6 @@ impl<'a> FeatureExtractor<'a> {
     pub fn push(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Token {
         let dt = dt_s.max(1e-4);
         let mut inputs = self.common(dt, moment_nmm, base_mm_s);
-        if self.moments_only {
-            self.before = Some((moment_nmm, Vec::new()));
-            return Token::new(dt_s, &inputs, &[], [&[], &[]]);
-        }
         self.filter.step(dt_s, moment_nmm, base_mm_s);
         let all = self.filter.solutions();
         let posterior = posterior_or_uniform(&self.filter);
@@ -183,7 +170,7 @@ impl<'a> FeatureExtractor<'a> {
 }
 
 /// A token's inputs on a curve of this many nodes, mirrored at the plane y = 0: places change their y, moments the part about z.
-pub(crate) fn mirror(inputs: &mut [f32], nodes: usize) {
+pub fn mirror(inputs: &mut [f32], nodes: usize) {
     let knots = if nodes > 0 { knots(nodes).len() } else { 0 };
     let places = (0..knots).map(|k| COMMON_INPUTS + FILTER_INPUTS + KNOT_INPUTS * k + 1);
     // The moment, small ones, and its rate.

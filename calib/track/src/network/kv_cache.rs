@@ -1,8 +1,14 @@
 //! Attention of a stream's last token over those that it remembers: keys and values of earlier tokens are kept, so that a token costs one row.
 //!
-//! `o = sum_j p_j v_j`, `p_j ~ exp(q . k_j / sqrt(d) - a (t - t_j))` over the last `context` tokens: the last row of what `WhiskerNet::forward` computes.
+//! `o = sum_j p_j v_j`, `p_j ~ exp(q . k_j / sqrt(d) - a (t - t_j))` over the last `context` tokens: the last row of what attention over the whole
+//! series gives. The slope a of head h of H is `4 * 0.02^(h / (H - 1))` 1/s: attention falls with the age of a token, in each head at another rate.
+//! Source: O. Press, N. A. Smith, M. Lewis, "Train Short, Test Long: Attention with Linear Biases", ICLR 2022.
 
-use super::attention_bias::time_bias_slope;
+/// Fall of attention with time, 1/s, a head: relative positions by time itself, so that the rate of sampling does not matter.
+#[must_use]
+pub fn time_bias_slope(head: usize, heads: usize) -> f32 {
+    4.0 * 0.02_f32.powf(head as f32 / (heads.max(2) - 1) as f32)
+}
 
 /// What a stream remembers: keys and values by layer, and the tokens' times, s.
 #[derive(Debug, Clone, Default)]

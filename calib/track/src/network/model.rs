@@ -1,18 +1,41 @@
-//! The network's layers, for whole series and for streams.
+//! The network's layers on a stream, row by row; the weights are those that `wcal-lab train` writes.
+//!
+//! ```text
+//! linear      y = W^T x + b,  W [inputs, outputs]
+//! norm        y = (x - mean x) / sqrt(var x + 1e-5) gamma + beta
+//! GELU        x Phi(x),  Phi the normal distribution
+//! block       x += out(attend(qkv(norm x)));  x += narrow(gelu(widen(norm x)))
+//! network     head(norm(blocks(encode_out(gelu(encode x)))))
+//! ```
+//!
+//! Sources: arXiv 2410.14005, section III; J. L. Ba et al., arXiv 1607.06450 (norm); D. Hendrycks, K. Gimpel, arXiv 1606.08415 (GELU).
 
 use super::config::NetworkConfig;
 use super::kv_cache::KvCache;
 use crate::error::TrackError;
-use burn::module::Module;
-use burn::nn::{Dropout, DropoutConfig, Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig};
-use burn::tensor::activation::gelu;
-use burn::tensor::module::attention;
-use burn::tensor::ops::AttentionModuleOptions;
-use burn::tensor::{Device, Tensor, TensorData};
+use safetensors::{Dtype, SafeTensors};
+use statrs::function::erf::erf;
+
+/// Added to the variance of a norm, as in training.
+const NORM_EPSILON: f32 = 1e-5;
+
+/// Weights `[inputs, outputs]`, row by row, and biases.
+#[derive(Debug, Clone)]
+struct Linear {
+    weights: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+/// Scale and shift of a norm.
+#[derive(Debug, Clone)]
+struct LayerNorm {
+    gamma: Vec<f32>,
+    beta: Vec<f32>,
+}
 
 /// One layer: attention and feed-forward part, each after a normalisation.
-#[derive(Module, Debug)]
-pub struct Block {
+#[derive(Debug, Clone)]
+struct Block {
     before_attention: LayerNorm,
     query_key_value: Linear,
     out: Linear,
@@ -22,19 +45,15 @@ pub struct Block {
 }
 
 /// The network.
-#[derive(Module, Debug)]
+#[derive(Debug, Clone)]
 pub struct WhiskerNet {
     encode: Linear,
     encode_out: Linear,
     blocks: Vec<Block>,
     norm: LayerNorm,
     head: Linear,
-    dropout: Dropout,
     heads: usize,
 }
-
-/// Outputs of a batch: `[batch, time, outputs]`.
-pub type Output = Tensor<3>;
 
 /// An answer.
 #[derive(Debug, Clone, PartialEq)]
@@ -69,91 +88,158 @@ impl Prediction {
 }
 
 impl WhiskerNet {
-    /// With weights drawn from the device's seed.
+    /// Of the bytes of `model.safetensors`.
     ///
     /// # Errors
-    /// Where the sizes do not fit each other.
-    pub fn new(config: &NetworkConfig, device: &Device) -> Result<Self, TrackError> {
+    /// Names the tensor that is missing, of another type or size, or not finite.
+    pub fn read(config: &NetworkConfig, bytes: &[u8]) -> Result<Self, TrackError> {
         config.check()?;
+        let weights = SafeTensors::deserialize(bytes)
+            .map_err(|e| TrackError::value("weights", "a file in the safetensors format", e.to_string()))?;
+        let weights = Weights(&weights);
         let c = config;
-        let linear = |from, to| LinearConfig::new(from, to).init(device);
-        let norm = || LayerNormConfig::new(c.width).init(device);
-        let block = |_| Block {
-            before_attention: norm(),
-            query_key_value: linear(c.width, 3 * c.width),
-            out: linear(c.width, c.width),
-            before_feed: norm(),
-            widen: linear(c.width, c.feed_forward),
-            narrow: linear(c.feed_forward, c.width),
+        let block = |k: usize| {
+            let name = |part: &str| format!("blocks.{k}.{part}");
+            Ok(Block {
+                before_attention: weights.norm(&name("before_attention"), c.width)?,
+                query_key_value: weights.linear(&name("query_key_value"), c.width, 3 * c.width)?,
+                out: weights.linear(&name("out"), c.width, c.width)?,
+                before_feed: weights.norm(&name("before_feed"), c.width)?,
+                widen: weights.linear(&name("widen"), c.width, c.feed_forward)?,
+                narrow: weights.linear(&name("narrow"), c.feed_forward, c.width)?,
+            })
         };
         Ok(Self {
-            encode: linear(c.inputs, c.encoder),
-            encode_out: linear(c.encoder, c.width),
-            blocks: (0..c.layers).map(block).collect(),
-            norm: norm(),
-            // Small: what comes out at first is the filter's own belief.
-            head: LinearConfig::new(c.width, c.outputs())
-                .with_initializer(Initializer::Normal { mean: 0.0, std: 0.01 })
-                .init(device),
-            dropout: DropoutConfig::new(c.dropout).init(),
+            encode: weights.linear("encode", c.inputs, c.encoder)?,
+            encode_out: weights.linear("encode_out", c.encoder, c.width)?,
+            blocks: (0..c.layers).map(block).collect::<Result<_, TrackError>>()?,
+            norm: weights.norm("norm", c.width)?,
+            head: weights.linear("head", c.width, c.outputs())?,
             heads: c.heads,
         })
     }
 
-    /// A batch of series: inputs `[batch, time, inputs]`, bias of attention `[batch, heads, time, time]` (`attention_bias`).
-    #[must_use]
-    pub fn forward(&self, inputs: Tensor<3>, bias: Tensor<4>) -> Output {
-        let mut x = self.encoded(inputs);
-        for block in &self.blocks {
-            let [batch, time, width] = x.dims();
-            let qkv = block.query_key_value.forward(block.before_attention.forward(x.clone()));
-            let (q, k, v) = self.split(qkv);
-            let attended = attention(q, k, v, None, Some(bias.clone()), AttentionModuleOptions::default());
-            let attended = attended.swap_dims(1, 2).reshape([batch, time, width]);
-            x = x + self.dropout.forward(block.out.forward(attended));
-            x = x.clone() + self.dropout.forward(block.feed(x));
-        }
-        self.head.forward(self.norm.forward(x))
-    }
-
-    /// One token of a stream, inputs `[1, 1, inputs]`; keys and values are cached for up to `context` tokens.
-    pub fn step(&self, inputs: Tensor<3>, t_s: f64, context: usize, cache: &mut KvCache) -> Output {
-        let device = inputs.device();
+    /// Outputs for the next token of a stream; keys and values are cached for up to `context` tokens.
+    pub fn step(&self, inputs: &[f32], t_s: f64, context: usize, cache: &mut KvCache) -> Vec<f32> {
         cache.advance(t_s, context);
-        let mut x = self.encoded(inputs);
+        let mut x = self.encode_out.forward(&gelu(self.encode.forward(inputs)));
         for (layer, block) in self.blocks.iter().enumerate() {
-            let qkv = block.query_key_value.forward(block.before_attention.forward(x.clone()));
-            let attended = cache.attend(layer, &to_vec(qkv), self.heads);
-            let attended = Tensor::from_data(TensorData::new(attended, x.dims()), &device);
-            x = x + block.out.forward(attended);
-            x = x.clone() + block.feed(x);
+            let qkv = block.query_key_value.forward(&block.before_attention.forward(&x));
+            add(&mut x, &block.out.forward(&cache.attend(layer, &qkv, self.heads)));
+            let widened = gelu(block.widen.forward(&block.before_feed.forward(&x)));
+            add(&mut x, &block.narrow.forward(&widened));
         }
-        self.head.forward(self.norm.forward(x))
+        self.head.forward(&self.norm.forward(&x))
+    }
+}
+
+impl Linear {
+    fn forward(&self, x: &[f32]) -> Vec<f32> {
+        let mut y = self.bias.clone();
+        let outputs = y.len();
+        // Four inputs at a time: the sum is read and written a quarter as often.
+        let (fours, rest) = (x.chunks_exact(4), x.chunks_exact(4).remainder());
+        let (rows, last) = self.weights.split_at((x.len() - rest.len()) * outputs);
+        for (x, rows) in fours.zip(rows.chunks_exact(4 * outputs)) {
+            let (first, second) = rows.split_at(2 * outputs);
+            let ((a, b), (c, d)) = (first.split_at(outputs), second.split_at(outputs));
+            let columns = a.iter().zip(b).zip(c.iter().zip(d));
+            for (y, ((a, b), (c, d))) in y.iter_mut().zip(columns) {
+                *y += (x[0] * a + x[1] * b) + (x[2] * c + x[3] * d);
+            }
+        }
+        for (x, row) in rest.iter().zip(last.chunks_exact(outputs)) {
+            y.iter_mut().zip(row).for_each(|(y, w)| *y += x * w);
+        }
+        y
+    }
+}
+
+impl LayerNorm {
+    fn forward(&self, x: &[f32]) -> Vec<f32> {
+        let n = x.len() as f32;
+        let mean = x.iter().sum::<f32>() / n;
+        let variance = x.iter().map(|x| (x - mean).powi(2)).sum::<f32>() / n;
+        let scale = (variance + NORM_EPSILON).sqrt().recip();
+        let each = x.iter().zip(self.gamma.iter().zip(&self.beta));
+        each.map(|(x, (gamma, beta))| (x - mean) * scale * gamma + beta).collect()
+    }
+}
+
+fn gelu(mut x: Vec<f32>) -> Vec<f32> {
+    for x in &mut x {
+        *x *= 0.5 * (1.0 + erf(f64::from(*x) * std::f64::consts::FRAC_1_SQRT_2)) as f32;
+    }
+    x
+}
+
+fn add(x: &mut [f32], more: &[f32]) {
+    x.iter_mut().zip(more).for_each(|(x, more)| *x += more);
+}
+
+/// Tensors of a file by name.
+struct Weights<'a>(&'a SafeTensors<'a>);
+
+impl Weights<'_> {
+    fn linear(&self, name: &str, inputs: usize, outputs: usize) -> Result<Linear, TrackError> {
+        Ok(Linear {
+            weights: self.numbers(&format!("{name}.weight"), &[inputs, outputs])?,
+            bias: self.numbers(&format!("{name}.bias"), &[outputs])?,
+        })
     }
 
-    fn encoded(&self, inputs: Tensor<3>) -> Tensor<3> {
-        self.encode_out.forward(gelu(self.encode.forward(inputs)))
+    fn norm(&self, name: &str, width: usize) -> Result<LayerNorm, TrackError> {
+        Ok(LayerNorm {
+            gamma: self.numbers(&format!("{name}.gamma"), &[width])?,
+            beta: self.numbers(&format!("{name}.beta"), &[width])?,
+        })
     }
 
-    /// Queries, keys and values by head: `[batch, heads, time, width / heads]`.
-    fn split(&self, x: Tensor<3>) -> (Tensor<4>, Tensor<4>, Tensor<4>) {
-        let [batch, time, three] = x.dims();
-        let width = three / 3;
-        let part = |k: usize| {
-            let part = x.clone().narrow(2, k * width, width);
-            part.reshape([batch, time, self.heads, width / self.heads]).swap_dims(1, 2)
+    /// Numbers of a tensor, row by row; one that is no number would make every answer none.
+    fn numbers(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>, TrackError> {
+        let refused = |found: String| {
+            let expected = format!("finite numbers of type F32 and sizes {shape:?}");
+            TrackError::value(format!("weights {name}"), expected, found)
         };
-        (part(0), part(1), part(2))
+        let there = self.0.tensor(name).map_err(|e| refused(e.to_string()))?;
+        if there.dtype() != Dtype::F32 || there.shape() != shape {
+            return Err(refused(format!("{} {:?}", there.dtype(), there.shape())));
+        }
+        let (numbers, _) = there.data().as_chunks::<4>();
+        let numbers: Vec<f32> = numbers.iter().map(|four| f32::from_le_bytes(*four)).collect();
+        match numbers.iter().position(|x| !x.is_finite()) {
+            Some(k) => Err(refused(format!("NaN or infinity (number {})", k + 1))),
+            None => Ok(numbers),
+        }
     }
 }
 
-impl Block {
-    fn feed(&self, x: Tensor<3>) -> Tensor<3> {
-        self.narrow.forward(gelu(self.widen.forward(self.before_feed.forward(x))))
-    }
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// A tensor's numbers in order.
-pub(crate) fn to_vec<const D: usize>(out: Tensor<D>) -> Vec<f32> {
-    out.into_data().try_into_vec().unwrap_or_default()
+    #[test]
+    fn a_linear_layer_is_the_sum_over_its_inputs() {
+        // Six inputs: one group of four and a rest of two.
+        let weights: Vec<f32> = (0..18).map(|k| 0.1 * k as f32).collect();
+        let layer = Linear { weights: weights.clone(), bias: vec![1.0, -1.0, 0.5] };
+        let x = [0.3, -0.2, 0.7, 1.1, -0.9, 0.4];
+        let found = layer.forward(&x);
+        for (k, found) in found.iter().enumerate() {
+            let sum: f32 = x.iter().enumerate().map(|(i, x)| x * weights[3 * i + k]).sum();
+            assert!((found - (sum + layer.bias[k])).abs() < 1e-6, "{k}: {found}");
+        }
+    }
+
+    #[test]
+    fn a_norm_has_mean_and_spread_of_its_parameters_and_gelu_its_known_values() {
+        let norm = LayerNorm { gamma: vec![2.0; 4], beta: vec![1.0; 4] };
+        let y = norm.forward(&[3.0, 5.0, 7.0, 9.0]);
+        let mean = y.iter().sum::<f32>() / 4.0;
+        let sd = (y.iter().map(|y| (y - mean).powi(2)).sum::<f32>() / 4.0).sqrt();
+        assert!((mean - 1.0).abs() < 1e-6 && (sd - 2.0).abs() < 1e-5, "{y:?}");
+        // Phi(1) = 0.841345, Phi(-2) = 0.022750 (tables of the normal distribution).
+        let y = gelu(vec![1.0, -2.0, 0.0]);
+        assert!((y[0] - 0.841_345).abs() < 1e-6 && (y[1] + 0.045_500).abs() < 1e-6 && y[2] == 0.0, "{y:?}");
+    }
 }

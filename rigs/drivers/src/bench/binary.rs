@@ -9,6 +9,11 @@ const ERROR: u8 = 255;
 /// Speed data of T-series units count 9.375 microsteps per second.
 const SPEED_STEPS: f64 = 9.375;
 
+/// Device mode without its home status, bit 7: the knob is off.
+const MODE: i64 = 0x8;
+/// Firmware, times 100, from which on the home status is a setting of its own, too.
+const OWN_HOME_STATUS: u32 = 600;
+
 /// One message of either direction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Message {
@@ -102,15 +107,15 @@ impl BinaryUnit {
             50 => return reply(self.device_id.into()),
             51 => return reply(self.firmware.into()),
             53 => {
+                let setting =
+                    |command: u8, data: i64| Some(Message { unit: self.number, command, data: data as i32 });
                 return match message.data {
-                    42 => Some(Message {
-                        unit: self.number,
-                        command: 42,
-                        data: (axis.speed_mm_s() * 1000.0 / unit.size_um / SPEED_STEPS).round() as i32,
-                    }),
-                    44 => {
-                        Some(Message { unit: self.number, command: 44, data: axis.spec.limit_steps as i32 })
+                    40 => setting(40, MODE | i64::from(axis.homed()) << 7),
+                    42 => {
+                        setting(42, (axis.speed_mm_s() * 1000.0 / unit.size_um / SPEED_STEPS).round() as i64)
                     }
+                    44 => setting(44, axis.spec.limit_steps),
+                    103 if self.firmware >= OWN_HOME_STATUS => setting(103, axis.homed().into()),
                     _ => fail(53),
                 };
             }
@@ -161,6 +166,17 @@ mod tests {
         assert_eq!(unit.update(&mut axis, 5.0), Some(message(20, 420_000)));
         assert_eq!(unit.update(&mut axis, 6.0), None);
         assert_eq!(unit.execute(&mut axis, message(60, 0), 6.0), Some(message(60, 420_000)));
+    }
+
+    #[test]
+    fn the_home_status_is_a_bit_of_the_device_mode_and_a_setting_of_later_firmware() {
+        for (homed, mode) in [(false, 0x8), (true, 0x88)] {
+            let (mut unit, mut axis) = rig(homed);
+            assert_eq!(unit.execute(&mut axis, message(53, 40), 0.0), Some(message(40, mode)));
+            assert_eq!(unit.execute(&mut axis, message(53, 103), 0.0), Some(message(255, 53)), "5.13");
+            let mut later = BinaryUnit::new(1, 4151, 612, 99);
+            assert_eq!(later.execute(&mut axis, message(53, 103), 0.0), Some(message(103, homed.into())));
+        }
     }
 
     #[test]

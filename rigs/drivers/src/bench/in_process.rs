@@ -10,14 +10,15 @@ use super::clock::BenchClock;
 use super::plant::Plant;
 use super::scenario::Scenario;
 use super::world::{BenchState, guard};
+use crate::zaber::flags::is_latched;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 use wcal_core::clock::HostClock;
 use wcal_core::device::{
-    Camera, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity, FbgReading, Interrogator, Mount, Stage,
-    StageReading,
+    Camera, Clocks, DeviceError, DeviceErrorKind, DeviceIdentity, FbgReading, Interrogator, Mount,
+    Permission, Stage, StageReading,
 };
 use wcal_core::rig_devices::{CameraRig, DeviceOpener, InterrogatorRig, MountRig, StageRig};
 
@@ -65,8 +66,14 @@ impl InProcess {
         self.pass(time.as_secs_f64());
     }
 
+    /// What moves and what time it is; for links that carry the units' own bytes.
+    #[must_use]
+    pub fn state(&self) -> &BenchState {
+        &self.shared
+    }
+
     /// Lets time pass, s, and hands the stream over.
-    fn pass(&self, seconds: f64) {
+    pub fn pass(&self, seconds: f64) {
         self.shared.clock.pass(seconds);
         let now_s = self.shared.clock.now_s();
         let (stream, changed) = &*self.stream;
@@ -79,8 +86,11 @@ impl InProcess {
         s.made = self.shared.newest().map_or(0, |scan| scan.serial + 1);
         changed.notify_all();
         let open = |s: &mut Stream| s.reading && s.taken < s.made;
-        // A reader that has gone is no reason to stand still.
-        drop(changed.wait_timeout_while(s, GONE, open));
+        let waited = changed.wait_timeout_while(s, GONE, open);
+        // A reader that has gone is no reason to stand still, and is not waited for again.
+        if let Ok((mut s, over)) = waited {
+            s.reading &= !over.timed_out();
+        }
     }
 
     fn answer_s(&self, [low, high]: [f64; 2]) -> f64 {
@@ -175,6 +185,15 @@ impl Stage for Unit {
         })
     }
 
+    fn clear_flags(&mut self) -> Result<Vec<String>, DeviceError> {
+        let shown = self.axis(|axis, _| {
+            let shown = axis.flags();
+            axis.clear_flags();
+            shown
+        })?;
+        Ok(shown.into_iter().filter(|flag| is_latched(flag)).map(str::to_owned).collect())
+    }
+
     fn stop(&mut self) -> Result<(), DeviceError> {
         self.axis(super::axis::Axis::stop)?;
         while self.axis(|axis, t_s| axis.busy(t_s))? {
@@ -192,6 +211,22 @@ struct OwnMount {
 }
 
 impl Mount for OwnMount {
+    fn check(&mut self, _trajectories: &[u32], allowed: Permission) -> Result<(), DeviceError> {
+        match self.unit.read() {
+            Err(e) if !allowed.covers(&e) => Err(e),
+            _ => Ok(()),
+        }
+    }
+
+    fn prepare(&mut self, allowed: Permission) -> Result<(), DeviceError> {
+        match self.unit.read() {
+            Err(e) if e.kind == DeviceErrorKind::NotHomed && allowed.home => self.unit.start_home()?,
+            reading => drop(reading?),
+        }
+        while self.unit.read()?.moving {}
+        Ok(())
+    }
+
     fn select(&mut self, trajectory: u32) -> Result<(), DeviceError> {
         let steps = i64::from(trajectory) * self.steps_per_trajectory;
         let speed_mm_s = self.speed_mm_s;
@@ -199,6 +234,10 @@ impl Mount for OwnMount {
         moved.map_err(|e| self.unit.refused("turn", e))?;
         while self.unit.read()?.moving {}
         Ok(())
+    }
+
+    fn stop(&mut self) -> Result<(), DeviceError> {
+        self.unit.stop()
     }
 }
 
@@ -275,9 +314,7 @@ impl DeviceOpener for InProcess {
 
     fn mount(&mut self, rig: &MountRig, _clock: HostClock) -> Result<Option<Box<dyn Mount>>, DeviceError> {
         let MountRig::Zaber { steps_per_trajectory, speed_mm_s, .. } = rig else { return Ok(None) };
-        let mut unit = self.unit(1);
-        unit.start_home()?;
-        while unit.read()?.moving {}
+        let unit = self.unit(1);
         let (steps_per_trajectory, speed_mm_s) = (*steps_per_trajectory, *speed_mm_s);
         Ok(Some(Box::new(OwnMount { unit, steps_per_trajectory, speed_mm_s })))
     }

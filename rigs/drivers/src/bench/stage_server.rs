@@ -6,7 +6,10 @@ use super::link::Wire;
 use super::scenario::StageProtocol;
 use super::world::BenchState;
 use std::io;
+use std::time::{Duration, Instant};
 
+/// A message that stops for this long is forgotten, as the protocol manual has it (Message Format).
+const FORGETS: Duration = Duration::from_millis(10);
 /// A line longer than this is noise.
 const MAX_LINE: usize = 512;
 
@@ -77,9 +80,15 @@ fn serve_binary(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
     let mut pending = Vec::new();
     let mut bytes = [0_u8; 256];
     let mut heard = false;
+    let mut last = Instant::now();
     while open(shared) {
         let count = wire.receive(&mut bytes)?;
         heard |= count > 0;
+        if count > 0 {
+            last = Instant::now();
+        } else if last.elapsed() > FORGETS {
+            pending.clear();
+        }
         if heard {
             shared.stage_cable.pour(wire, true)?;
         }

@@ -311,6 +311,24 @@ mod tests {
     }
 
     #[test]
+    fn a_stall_is_shown_until_the_flags_are_cleared() {
+        let mut unit = Unit::new(1, UnitSpec { homed: true, ..UnitSpec::default() });
+        unit.axis.arm_stall();
+        say(&mut unit, "/1 1 move abs 0", 0.0);
+        assert_eq!(say(&mut unit, "/1 1 warnings", 1.0), "@01 1 OK IDLE FS 01 FS\r\n");
+        // Neither a move nor a reference search takes it back.
+        say(&mut unit, "/1 1 move abs 1000", 1.0);
+        say(&mut unit, "/1 1 home", 20.0);
+        assert_eq!(say(&mut unit, "/1 1", 40.0), "@01 1 OK IDLE FS 0\r\n");
+        say(&mut unit, "/1 1 warnings clear", 40.0);
+        assert_eq!(say(&mut unit, "/1 1", 40.0), "@01 1 OK IDLE -- 0\r\n");
+        // A missing reference is not cleared so.
+        say(&mut unit, "/1 system reset", 41.0);
+        say(&mut unit, "/1 1 warnings clear", 43.0);
+        assert_eq!(say(&mut unit, "/1 1", 43.0), "@01 1 OK IDLE WR 0\r\n");
+    }
+
+    #[test]
     fn a_reset_unit_is_silent_and_then_has_no_reference() {
         let mut unit = Unit::new(1, UnitSpec { homed: true, ..UnitSpec::default() });
         say(&mut unit, "/1 system reset", 5.0);

@@ -1,8 +1,9 @@
 //! A chain of units on one port: checked replies, message ids, checksums, and repeated questions.
 
-use super::wire::{Port, Wire};
-use crate::host::is_timeout;
+use super::wire::{Connect, Port, Wire};
 use crate::link::CONNECT;
+use crate::trouble;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt};
 use wcal_core::device::{DeviceError, DeviceErrorKind};
@@ -30,13 +31,40 @@ pub struct Answer {
     pub data: String,
 }
 
-/// One open port with all units on it.
-#[derive(Debug)]
+/// One open port with all units on it. Dropped, it leaves the units with the speeds that it found.
 pub struct Chain {
-    port: AsciiPort<'static, Wire>,
+    /// `None` while a lost link is opened again.
+    port: Option<AsciiPort<'static, Wire>>,
+    place: Port,
+    connect: Connect,
     name: String,
     repeats: u64,
     interrupt: Interrupt,
+    /// `maxspeed` of each axis as it was found, and whether it was changed since.
+    speeds: BTreeMap<(u8, u8), (i64, bool)>,
+    /// The last exchange failed: who drops the chain does not wait for another.
+    failed: bool,
+}
+
+impl std::fmt::Debug for Chain {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Chain").field("name", &self.name).finish_non_exhaustive()
+    }
+}
+
+impl Drop for Chain {
+    fn drop(&mut self) {
+        let changed = std::mem::take(&mut self.speeds);
+        for ((device, axis), (data, _)) in changed.into_iter().filter(|(_, (_, changed))| *changed) {
+            if self.failed {
+                return;
+            }
+            // Nobody is left to tell; a unit that does not hear it keeps the sweep's speed.
+            let set = format!("set maxspeed {data}");
+            let sent = self.once((device, axis), &set, &Deadline::whatever_happens(REPLY));
+            self.failed = sent.is_err();
+        }
+    }
 }
 
 /// What came instead of the reply: none of it is an answer, and none of it prolongs the wait.
@@ -79,37 +107,143 @@ impl Chain {
     ///
     /// # Errors
     /// `Disconnected` when it cannot be opened, `Timeout` when nobody answers at its address.
-    pub fn open(port: &Port, interrupt: &Interrupt) -> Result<Self, DeviceError> {
-        let name = format!("stage {port}");
-        let deadline = Deadline::after(CONNECT, interrupt);
-        let wire = Wire::open(port, &deadline).map_err(|e| {
-            if is_timeout(&e) {
-                return deadline.error(&name, "open", "a connection", "no answer from this address");
-            }
-            DeviceError::new(DeviceErrorKind::Disconnected, &name, "open", "a free port", e.to_string())
-        })?;
-        let mut port = AsciiPort::open_general_options().checksums(true).message_ids(true).open(wire);
-        // Alerts may come at any time; state is always asked for, so they carry nothing new.
-        port.set_unexpected_alert_handler(|_| Ok(()));
-        Ok(Self { port, name, repeats: 0, interrupt: interrupt.clone() })
+    pub fn open(place: &Port, interrupt: &Interrupt, connect: &Connect) -> Result<Self, DeviceError> {
+        let mut chain = Self {
+            port: None,
+            place: place.clone(),
+            connect: connect.clone(),
+            name: format!("stage {place}"),
+            repeats: 0,
+            interrupt: interrupt.clone(),
+            speeds: BTreeMap::new(),
+            failed: false,
+        };
+        chain.reopen()?;
+        Ok(chain)
     }
 
-    /// Opens a serial port at the first speed at which a unit replies.
+    /// Opens a serial port at the first speed at which the unit of this address replies; where none does, at one where another unit does.
     ///
     /// # Errors
-    /// `Timeout` when no speed does.
-    pub fn probe(path: &str, interrupt: &Interrupt) -> Result<(Self, u32), DeviceError> {
-        for baud in SPEEDS {
-            let mut chain = Self::open(&Port::Serial(path.to_owned(), baud), interrupt)?;
-            chain.port.backend_mut().drain(QUIET);
-            match chain.once(1, 0, "", &Deadline::after(REPLY, interrupt)) {
-                Ok(_) => return Ok((chain, baud)),
-                Err(e) if e.kind == DeviceErrorKind::Interrupted => return Err(e),
-                Err(_) => {}
+    /// `Timeout` when no unit replies at any speed.
+    pub fn probe(
+        path: &str,
+        address: u8,
+        interrupt: &Interrupt,
+        connect: &Connect,
+    ) -> Result<(Self, u32), DeviceError> {
+        for anybody in [false, true] {
+            for baud in SPEEDS {
+                let mut chain = Self::open(&Port::Serial(path.to_owned(), baud), interrupt, connect)?;
+                chain.drain();
+                let answered = match anybody {
+                    false => chain.once((address, 0), "", &Deadline::after(REPLY, interrupt)).map(|_| true),
+                    true => chain.units().map(|units| !units.is_empty()),
+                };
+                match answered {
+                    Ok(true) => return Ok((chain, baud)),
+                    Err(e) if e.kind == DeviceErrorKind::Interrupted => return Err(e),
+                    _ => {}
+                }
             }
         }
         let (kind, expected) = (DeviceErrorKind::Timeout, format!("an answer at one of {SPEEDS:?} baud"));
         Err(DeviceError::new(kind, format!("stage {path}"), "probe", expected, "silence"))
+    }
+
+    /// Opens the same port again. The old link goes first: it holds the port's exclusive lock. All who share the chain go on with the
+    /// new one.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn reopen(&mut self) -> Result<(), DeviceError> {
+        self.close();
+        let deadline = Deadline::after(CONNECT, &self.interrupt);
+        let link = (self.connect)(&self.place, &deadline)
+            .map_err(|e| trouble::of_port(&self.name, &self.place, &e, &deadline))?;
+        let wire = Wire::over(link, self.name.clone(), deadline);
+        let mut port = AsciiPort::open_general_options().checksums(true).message_ids(true).open(wire);
+        // Alerts may come at any time; state is always asked for, so they carry nothing new.
+        port.set_unexpected_alert_handler(|_| Ok(()));
+        (self.port, self.failed) = (Some(port), false);
+        Ok(())
+    }
+
+    /// Gives the port back to the system.
+    pub fn close(&mut self) {
+        self.port = None;
+        self.failed = true;
+    }
+
+    /// Where the chain hangs.
+    #[must_use]
+    pub fn place(&self) -> &Port {
+        &self.place
+    }
+
+    /// Waits between two questions.
+    pub fn pause(&mut self, pause: Duration, deadline: &Deadline) {
+        match &mut self.port {
+            Some(port) => port.backend_mut().pause(pause, deadline),
+            None => deadline.pause(pause),
+        }
+    }
+
+    /// Addresses of the units that answer a question to all.
+    ///
+    /// # Errors
+    /// `Disconnected` or `Interrupted`.
+    pub fn units(&mut self) -> Result<Vec<u8>, DeviceError> {
+        let deadline = Deadline::after(REPLY, &self.interrupt);
+        self.drain();
+        let command = "get system.serial";
+        self.send((0, 0), command, &deadline)?;
+        let mut units = BTreeSet::new();
+        loop {
+            match self.next(command, &deadline, &mut SkippedMessages::default()) {
+                Ok(AnyResponse::Reply(reply)) => {
+                    units.insert(reply.target().device());
+                }
+                Ok(_) => {}
+                Err(e) if e.kind == DeviceErrorKind::Timeout => return Ok(units.into_iter().collect()),
+                Err(e) if e.kind == DeviceErrorKind::Protocol => {}
+                Err(e) => return Err(e),
+            }
+        }
+    }
+
+    /// Reads the speed of an axis, which is put back when the chain is dropped.
+    ///
+    /// # Errors
+    /// As [`Self::ask`].
+    pub fn remember_speed(&mut self, device: u8, axis: u8) -> Result<(), DeviceError> {
+        // A chain that was opened again remembers what it found the first time.
+        if self.speeds.contains_key(&(device, axis)) {
+            return Ok(());
+        }
+        let command = "get maxspeed";
+        let data = self.ask(device, axis, command)?.data;
+        let found =
+            data.parse().map_err(|_| self.error(DeviceErrorKind::Protocol, command, "a number", &data))?;
+        self.speeds.insert((device, axis), (found, false));
+        Ok(())
+    }
+
+    /// Sets the speed of an axis.
+    ///
+    /// # Errors
+    /// As [`Self::ask`].
+    pub fn set_speed(&mut self, device: u8, axis: u8, data: i64) -> Result<(), DeviceError> {
+        if let Some((found, changed)) = self.speeds.get_mut(&(device, axis)) {
+            *changed |= *found != data;
+        }
+        self.ask(device, axis, &format!("set maxspeed {data}")).map(|_| ())
+    }
+
+    fn drain(&mut self) {
+        if let Some(port) = &mut self.port {
+            port.backend_mut().drain(QUIET);
+        }
     }
 
     /// Requests that had to be repeated.
@@ -151,9 +285,11 @@ impl Chain {
         for attempt in 0..ATTEMPTS {
             if attempt > 0 {
                 self.repeats += 1;
-                self.port.backend_mut().drain(QUIET);
+                self.drain();
             }
-            match self.once(device, axis, command, &Deadline::after(REPLY, interrupt)) {
+            let done = self.once((device, axis), command, &Deadline::after(REPLY, interrupt));
+            self.failed = done.as_ref().is_err_and(|e| e.kind != DeviceErrorKind::Rejected);
+            match done {
                 Err(e) if e.kind.may_retry() => last = Some(e),
                 done => return done,
             }
@@ -161,34 +297,63 @@ impl Chain {
         Err(last.unwrap_or_else(|| self.error(DeviceErrorKind::Timeout, command, "a reply", "none")))
     }
 
-    /// The reply with the number of this command; alerts, info, replies of other units and late ones are passed over until the deadline.
-    fn once(
+    fn open_port(&mut self, command: &str) -> Result<&mut AsciiPort<'static, Wire>, DeviceError> {
+        let error = || {
+            let (kind, expected) = (DeviceErrorKind::Disconnected, "a link to the unit");
+            DeviceError::new(kind, &self.name, shown(command), expected, "a port that is closed")
+        };
+        self.port.as_mut().ok_or_else(error)
+    }
+
+    /// Sends a command to a unit and axis; its number.
+    fn send(
         &mut self,
-        device: u8,
-        axis: u8,
+        (device, axis): (u8, u8),
         command: &str,
         deadline: &Deadline,
-    ) -> Result<Answer, DeviceError> {
-        self.port.backend_mut().until(deadline.clone());
-        let sent = self.port.command((device, axis, command));
-        let id = sent.map_err(|e| self.translate(command, &e, deadline, &SkippedMessages::default()))?;
-        let meant = |r: &Reply| {
-            let (unit, own_axis) = (r.target().device(), r.target().axis());
-            (device == 0 || unit == device) && (axis == 0 || own_axis == axis) && r.id() == id
-        };
-        let mut passed = SkippedMessages::default();
-        let reply = loop {
-            let found = self.port.response::<AnyResponse>();
+    ) -> Result<Option<u8>, DeviceError> {
+        let port = self.open_port(command)?;
+        port.backend_mut().until(deadline.clone());
+        let sent = port.command((device, axis, command));
+        sent.map_err(|e| self.translate(command, &e, deadline, &SkippedMessages::default()))
+    }
+
+    /// The next message; empty lines and rests of lines are passed over.
+    fn next(
+        &mut self,
+        command: &str,
+        deadline: &Deadline,
+        passed: &mut SkippedMessages,
+    ) -> Result<AnyResponse, DeviceError> {
+        loop {
+            let found = self.open_port(command)?.response::<AnyResponse>();
             match found.and_then(|r| r.check(check::unchecked()).map_err(AsciiError::from)) {
-                Ok(AnyResponse::Reply(reply)) if meant(&reply) => break reply,
-                Ok(other) => passed.note(&other, device),
                 // An empty line, or the rest of one.
                 Err(
                     AsciiError::PacketMissingStart(_)
                     | AsciiError::UnexpectedPacket(_)
                     | AsciiError::UnexpectedResponse(_),
                 ) => passed.noise += 1,
-                Err(e) => return Err(self.translate(command, &e, deadline, &passed)),
+                other => return other.map_err(|e| self.translate(command, &e, deadline, passed)),
+            }
+        }
+    }
+
+    /// The reply of this unit and axis with the number of this command; alerts, info, replies of others and late ones are passed over
+    /// until the deadline.
+    fn once(
+        &mut self,
+        (device, axis): (u8, u8),
+        command: &str,
+        deadline: &Deadline,
+    ) -> Result<Answer, DeviceError> {
+        let id = self.send((device, axis), command, deadline)?;
+        let meant = |r: &Reply| r.target().device() == device && r.target().axis() == axis && r.id() == id;
+        let mut passed = SkippedMessages::default();
+        let reply = loop {
+            match self.next(command, deadline, &mut passed)? {
+                AnyResponse::Reply(reply) if meant(&reply) => break reply,
+                other => passed.note(&other, device),
             }
         };
         let flag = reply.warning();
@@ -232,4 +397,49 @@ impl Chain {
 /// A command for people: the empty one asks for the state.
 fn shown(command: &str) -> &str {
     if command.is_empty() { "poll" } else { command }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::zaber::wire::ByteLink;
+    use std::io;
+    use std::rc::Rc;
+
+    /// A line on which every command is answered as this unit and axis would.
+    #[derive(Debug)]
+    struct AnswersAs(u8, u8, Vec<u8>);
+
+    impl ByteLink for AnswersAs {
+        fn send(&mut self, bytes: &[u8], _: &Deadline) -> io::Result<usize> {
+            let command = crate::bench::ascii::parse(bytes.trim_ascii_end());
+            let id = command.and_then(|c| c.id).unwrap_or(0);
+            self.2 = format!("@{:02} {} {id:02} OK IDLE -- 5\r\n", self.0, self.1).into_bytes();
+            Ok(bytes.len())
+        }
+
+        fn receive(&mut self, into: &mut [u8], _: &Deadline) -> io::Result<usize> {
+            let count = into.len().min(self.2.len());
+            into[..count].copy_from_slice(&self.2[..count]);
+            self.2.drain(..count);
+            if count == 0 { Err(io::ErrorKind::TimedOut.into()) } else { Ok(count) }
+        }
+    }
+
+    fn asked(as_unit: (u8, u8), of: (u8, u8)) -> Result<Answer, DeviceError> {
+        let connect: Connect = Rc::new(move |_, _| Ok(Box::new(AnswersAs(as_unit.0, as_unit.1, Vec::new()))));
+        let place = Port::Tcp("test".to_owned());
+        Chain::open(&place, &Interrupt::default(), &connect)?.ask(of.0, of.1, "get pos")
+    }
+
+    #[test]
+    fn a_reply_of_another_unit_or_axis_is_no_reply() {
+        for (as_unit, of) in [((2, 1), (1, 1)), ((1, 2), (1, 1)), ((1, 1), (1, 0)), ((7, 0), (0, 0))] {
+            let why = asked(as_unit, of).unwrap_err();
+            assert_eq!(why.kind, DeviceErrorKind::Timeout, "{as_unit:?} for {of:?}: {why}");
+        }
+        for own in [(1, 1), (1, 0), (3, 2)] {
+            assert_eq!(asked(own, own).unwrap().data, "5", "control: {own:?}");
+        }
+    }
 }

@@ -26,6 +26,30 @@ pub fn meaning(flag: &str) -> Option<(DeviceErrorKind, &'static str)> {
     })
 }
 
+/// Whether a unit keeps a flag until `warnings clear`: what it tells of is over, and somebody has to look first.
+#[must_use]
+pub fn is_latched(flag: &str) -> bool {
+    ["FS", "FE", "WS", "WM", "WL"].contains(&flag)
+}
+
+/// Who must do what about a flag, as the end of a sentence; empty where it goes by itself.
+#[must_use]
+pub fn remedy(flag: &str) -> &'static str {
+    match flag {
+        "WR" | "WH" => "; `--home` searches the reference, and moves to the home switch",
+        "FD" | "FO" => "; find out why, switch the unit off and on, then `--home`",
+        "FF" => "; switch the unit off and on; if it comes back, ask the maker",
+        other if is_latched(other) => {
+            "; the unit keeps this flag: look at it and free what blocks it, then `--home --resume SESSION` clears the flag and \
+             searches the reference anew (so does switching the unit off and on, then `--home`)"
+        }
+        other if other.starts_with('F') => {
+            "; look it up in the maker's protocol manual, then switch the unit off and on"
+        }
+        _ => "",
+    }
+}
+
 /// The first flag of a list that forbids measuring. While homing a missing reference is no obstacle.
 #[must_use]
 pub fn worst(flags: &[String], homing: bool) -> Option<(&str, DeviceErrorKind, &'static str)> {
@@ -47,6 +71,26 @@ mod tests {
         assert_eq!(meaning("FS").unwrap().0, DeviceErrorKind::Stalled);
         assert_eq!(meaning("FZ").unwrap().0, DeviceErrorKind::CriticalFault);
         assert_eq!(meaning("WX").unwrap().0, DeviceErrorKind::Health);
+    }
+
+    #[test]
+    fn every_flag_that_forbids_says_who_must_do_what() {
+        for (flag, word) in [
+            ("WR", "`--home` searches the reference"),
+            ("WH", "`--home` searches the reference"),
+            ("FS", "then `--home --resume SESSION` clears the flag"),
+            ("WS", "then `--home --resume SESSION` clears the flag"),
+            ("FD", "switch the unit off and on"),
+            ("FF", "ask the maker"),
+            ("FZ", "protocol manual"),
+        ] {
+            assert!(remedy(flag).contains(word), "{flag}: {}", remedy(flag));
+            assert_eq!(is_latched(flag), word.contains("--resume"), "{flag}");
+        }
+        // These go when their cause does.
+        assert!(
+            ["WV", "WT", "NI", "NC", "--"].iter().all(|flag| remedy(flag).is_empty() && !is_latched(flag))
+        );
     }
 
     #[test]

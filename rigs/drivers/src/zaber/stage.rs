@@ -32,7 +32,8 @@ pub struct ZaberStage {
 }
 
 impl ZaberStage {
-    /// An axis of an open chain with its microstep size (from rig.toml: the protocol does not report it).
+    /// An axis of an open chain with its microstep size (from rig.toml: the protocol does not report it). Reads travel and speed; moves
+    /// nothing.
     ///
     /// # Errors
     /// When the unit does not answer or its limit is no number.
@@ -46,6 +47,7 @@ impl ZaberStage {
         let mut stage =
             Self { chain, address, axis, unit, limit_steps: 0, clock, commanded_mm: None, homing: false };
         stage.limit_steps = stage.number("get limit.max")?;
+        stage.chain.borrow_mut().remember_speed(address, axis)?;
         Ok(stage)
     }
 
@@ -71,13 +73,17 @@ impl ZaberStage {
         DeviceError::new(kind, self.chain.borrow().name(), action, expected, found)
     }
 
+    /// Waits between two questions.
+    pub(crate) fn pause(&mut self, pause: Duration, deadline: &Deadline) {
+        self.chain.borrow_mut().pause(pause, deadline);
+    }
+
     /// All flags shown; one question only when there is one.
     fn flags(&mut self, highest: &str) -> Result<Vec<String>, DeviceError> {
         if highest == "--" {
             return Ok(Vec::new());
         }
-        let answer = self.ask("warnings")?;
-        let mut list: Vec<String> = answer.data.split_whitespace().skip(1).map(str::to_owned).collect();
+        let mut list = listed(&self.ask("warnings")?);
         if list.is_empty() {
             list.push(highest.to_owned());
         }
@@ -89,10 +95,16 @@ impl ZaberStage {
         match flags::worst(flags, self.homing) {
             None => Ok(()),
             Some((flag, kind, text)) => {
-                Err(self.fail(kind, action, "no fault or warning", &format!("{flag}: {text}")))
+                let found = format!("{flag}: {text}{}", flags::remedy(flag));
+                Err(self.fail(kind, action, "no fault or warning", &found))
             }
         }
     }
+}
+
+/// Flags of the answer to `warnings`, behind their count.
+fn listed(answer: &Answer) -> Vec<String> {
+    answer.data.split_whitespace().skip(1).map(str::to_owned).collect()
 }
 
 impl Stage for ZaberStage {
@@ -133,7 +145,8 @@ impl Stage for ZaberStage {
         let answer = self.ask("")?;
         let flags = self.flags(&answer.flag)?;
         self.judge(&action, &flags)?;
-        self.ask(&format!("set maxspeed {}", self.unit.speed_data(speed_mm_s)))?;
+        let speed = self.unit.speed_data(speed_mm_s);
+        self.chain.borrow_mut().set_speed(self.address, self.axis, speed)?;
         self.ask(&format!("move abs {steps}"))?;
         // What was commanded is the microstep, not the wish.
         self.commanded_mm = Some(self.unit.to_mm(steps as f64));
@@ -162,6 +175,12 @@ impl Stage for ZaberStage {
         })
     }
 
+    fn clear_flags(&mut self) -> Result<Vec<String>, DeviceError> {
+        let shown = listed(&self.ask("warnings")?);
+        self.ask("warnings clear")?;
+        Ok(shown.into_iter().filter(|flag| flags::is_latched(flag)).collect())
+    }
+
     fn stop(&mut self) -> Result<(), DeviceError> {
         self.homing = false;
         let ask = |command: &str| {
@@ -174,7 +193,7 @@ impl Stage for ZaberStage {
                 let name = self.chain.borrow().name().to_owned();
                 return Err(deadline.error(&name, "stop", "standstill", "still moving"));
             }
-            deadline.pause(POLL);
+            self.chain.borrow_mut().pause(POLL, &deadline);
         }
         Ok(())
     }

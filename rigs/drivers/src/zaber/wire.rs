@@ -5,6 +5,7 @@ use crate::link;
 use serialport::{SerialPort, TTYPort};
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::TcpStream;
+use std::rc::Rc;
 use std::time::Duration;
 use wcal_core::deadline::Deadline;
 use zproto::backend::Backend;
@@ -30,16 +31,97 @@ impl std::fmt::Display for Port {
     }
 }
 
-#[derive(Debug)]
-enum Link {
-    Tcp(TcpStream),
-    Serial(TTYPort),
+/// A link that carries bytes. Sending and receiving end with the deadline, whatever the other end does.
+pub trait ByteLink: std::fmt::Debug {
+    /// Bytes that arrive, at least one.
+    ///
+    /// # Errors
+    /// `TimedOut` when none came, `BrokenPipe` when the other end is gone, else what the system says.
+    fn receive(&mut self, into: &mut [u8], deadline: &Deadline) -> io::Result<usize>;
+    /// Sends some of the bytes.
+    ///
+    /// # Errors
+    /// `TimedOut` when the other end takes nothing, else what the system says.
+    fn send(&mut self, bytes: &[u8], deadline: &Deadline) -> io::Result<usize>;
+    /// Waits between two questions.
+    fn pause(&mut self, pause: Duration, deadline: &Deadline) {
+        deadline.pause(pause);
+    }
 }
 
-/// An open link. Reading and writing end with the deadline of the exchange, however much the other end sends.
+/// Opens a link: the system's, or one that a test puts in its place.
+pub type Connect = Rc<dyn Fn(&Port, &Deadline) -> io::Result<Box<dyn ByteLink>>>;
+
+impl ByteLink for TcpStream {
+    fn receive(&mut self, into: &mut [u8], deadline: &Deadline) -> io::Result<usize> {
+        link::read(self, into, deadline)
+    }
+
+    fn send(&mut self, bytes: &[u8], deadline: &Deadline) -> io::Result<usize> {
+        link::write(self, bytes, deadline)
+    }
+}
+
+impl ByteLink for TTYPort {
+    fn receive(&mut self, into: &mut [u8], deadline: &Deadline) -> io::Result<usize> {
+        loop {
+            self.set_timeout(deadline.slice())?;
+            match self.read(into) {
+                Ok(0) => return Err(io::Error::new(ErrorKind::BrokenPipe, "the link is closed")),
+                Err(e) if is_timeout(&e) || e.kind() == ErrorKind::Interrupted => {
+                    if deadline.is_over() {
+                        return Err(ErrorKind::TimedOut.into());
+                    }
+                }
+                other => return other,
+            }
+        }
+    }
+
+    fn send(&mut self, bytes: &[u8], deadline: &Deadline) -> io::Result<usize> {
+        loop {
+            self.set_timeout(deadline.slice())?;
+            match self.write(bytes) {
+                Err(e) if is_timeout(&e) || e.kind() == ErrorKind::Interrupted => {
+                    if deadline.is_over() {
+                        return Err(ErrorKind::TimedOut.into());
+                    }
+                }
+                other => return other,
+            }
+        }
+    }
+}
+
+/// Opens a port of the system; a serial port exclusively, 8N1, without touching DTR or RTS (a pseudo-terminal has none).
+///
+/// # Errors
+/// What the system reports; `ResourceBusy` where another process has the port.
+pub fn connect(port: &Port, deadline: &Deadline) -> io::Result<Box<dyn ByteLink>> {
+    match port {
+        Port::Tcp(address) => {
+            let stream = link::connect(address, deadline)?;
+            stream.set_nodelay(true)?;
+            Ok(Box::new(stream))
+        }
+        Port::Serial(path, baud) => {
+            let opened = serialport::new(path, *baud).timeout(deadline.slice()).open_native();
+            let mut tty = opened.map_err(|e| match e.kind {
+                // What the crate makes of EBUSY, and of a lock that another process holds.
+                serialport::ErrorKind::NoDevice => io::Error::new(ErrorKind::ResourceBusy, e.description),
+                _ => e.into(),
+            })?;
+            // Not every baud rate reaches the port on opening (serialport issue 20); set it again.
+            tty.set_baud_rate(*baud)?;
+            Ok(Box::new(tty))
+        }
+    }
+}
+
+/// An open link, buffered. Reading and writing end with the deadline of the exchange, however much the other end sends.
 #[derive(Debug)]
 pub struct Wire {
-    link: Link,
+    link: Box<dyn ByteLink>,
     buffer: Vec<u8>,
     at: usize,
     /// Longest pause between two bytes.
@@ -49,31 +131,20 @@ pub struct Wire {
 }
 
 impl Wire {
-    /// Opens the port; a serial port exclusively, 8N1, without touching DTR or RTS (a pseudo-terminal has none).
-    ///
-    /// # Errors
-    /// What the system reports.
-    pub fn open(port: &Port, deadline: &Deadline) -> io::Result<Self> {
-        let link = match port {
-            Port::Tcp(address) => {
-                let stream = link::connect(address, deadline)?;
-                stream.set_nodelay(true)?;
-                Link::Tcp(stream)
-            }
-            Port::Serial(path, baud) => {
-                let mut tty = serialport::new(path, *baud).timeout(deadline.slice()).open_native()?;
-                // Not every baud rate reaches the port on opening (serialport issue 20); set it again.
-                tty.set_baud_rate(*baud)?;
-                Link::Serial(tty)
-            }
-        };
-        let (deadline, name) = (deadline.clone(), port.to_string());
-        Ok(Self { link, buffer: Vec::new(), at: 0, timeout: None, deadline, name })
+    /// Over an open link; `name` is for messages.
+    #[must_use]
+    pub fn over(link: Box<dyn ByteLink>, name: String, deadline: Deadline) -> Self {
+        Self { link, buffer: Vec::new(), at: 0, timeout: None, deadline, name }
     }
 
     /// Begins an exchange: all reading and writing from here on ends with this deadline.
     pub fn until(&mut self, deadline: Deadline) {
         self.deadline = deadline;
+    }
+
+    /// Waits between two questions, not beyond the deadline.
+    pub fn pause(&mut self, pause: Duration, deadline: &Deadline) {
+        self.link.pause(pause, deadline);
     }
 
     /// Throws away what has arrived and what still arrives within `quiet`, for a tenth of a second at most.
@@ -90,22 +161,7 @@ impl Wire {
     /// Bytes that arrive before the deadline and before the longest pause.
     fn receive(&mut self) -> io::Result<usize> {
         let pause = self.timeout.map(|t| self.deadline.within(t));
-        let deadline = pause.as_ref().unwrap_or(&self.deadline);
-        match &mut self.link {
-            Link::Tcp(stream) => link::read(stream, &mut self.buffer, deadline),
-            Link::Serial(tty) => loop {
-                tty.set_timeout(deadline.slice())?;
-                match tty.read(&mut self.buffer) {
-                    Ok(0) => return Err(io::Error::new(ErrorKind::BrokenPipe, "the link is closed")),
-                    Err(e) if is_timeout(&e) || e.kind() == ErrorKind::Interrupted => {
-                        if deadline.is_over() {
-                            return Err(ErrorKind::TimedOut.into());
-                        }
-                    }
-                    other => return other,
-                }
-            },
-        }
+        self.link.receive(&mut self.buffer, pause.as_ref().unwrap_or(&self.deadline))
     }
 }
 
@@ -131,20 +187,7 @@ impl Read for Wire {
 
 impl Write for Wire {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        match &mut self.link {
-            Link::Tcp(stream) => link::write(stream, bytes, &self.deadline),
-            Link::Serial(tty) => loop {
-                tty.set_timeout(self.deadline.slice())?;
-                match tty.write(bytes) {
-                    Err(e) if is_timeout(&e) || e.kind() == ErrorKind::Interrupted => {
-                        if self.deadline.is_over() {
-                            return Err(ErrorKind::TimedOut.into());
-                        }
-                    }
-                    other => return other,
-                }
-            },
-        }
+        self.link.send(bytes, &self.deadline)
     }
 
     /// The system sends what was written; waiting for it (`tcdrain`) has no time limit.

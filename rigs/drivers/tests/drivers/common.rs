@@ -1,6 +1,7 @@
 //! A virtual bench, its rig, and a short plan, for the sweep tests.
 
 use std::path::Path;
+use std::process::Command;
 use wcal_acquisition::AcquisitionError;
 use wcal_acquisition::record::{RecordRequest, RecordResult, record};
 use wcal_core::SessionData;
@@ -99,5 +100,34 @@ pub fn rows(folder: &Path) -> wcal_core::WhiskerData {
     match loaded.data {
         SessionData::Whisker(data) => data,
         other => panic!("{:?}", other.kind()),
+    }
+}
+
+/// Mounts what a test needs, as root.
+pub fn mount(arguments: &[&str]) {
+    assert!(Command::new("mount").args(arguments).status().unwrap().success(), "needs root: {arguments:?}");
+}
+
+/// A disk of its own; unmounted when dropped.
+pub struct Disk(tempfile::TempDir);
+
+impl Disk {
+    /// `size` as mount(8) takes it.
+    pub fn of(size: &str) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        mount(&["-t", "tmpfs", "-o", &format!("size={size}"), "tmpfs", dir.path().to_str().unwrap()]);
+        Self(dir)
+    }
+
+    /// Where it is mounted.
+    pub fn path(&self) -> &Path {
+        self.0.path()
+    }
+}
+
+impl Drop for Disk {
+    fn drop(&mut self) {
+        // Lazily: a recording may still be open where an assertion failed.
+        let _ = Command::new("umount").arg("-l").arg(self.0.path()).status();
     }
 }

@@ -338,7 +338,7 @@ fn late_replies_of_interrogators_are_left_out() {
     let mut sm130 = Sm130::connect(&address, 1000.0, clock, &interrupt).unwrap();
     interrupt.set(Signal::CtrlC);
     assert_eq!(sm130.command("#A").unwrap_err().kind, DeviceErrorKind::Interrupted);
-    interrupt.acknowledge();
+    drop(interrupt.hold());
     assert_eq!(sm130.command("#B").unwrap().trim(), "of the second");
     thread.join().unwrap();
 
@@ -349,7 +349,7 @@ fn late_replies_of_interrogators_are_left_out() {
     let mut hyperion = Hyperion::connect(&address, &address, 1000.0, clock, &interrupt).unwrap();
     interrupt.set(Signal::CtrlC);
     assert_eq!(hyperion.identity().unwrap_err().kind, DeviceErrorKind::Interrupted);
-    interrupt.acknowledge();
+    drop(interrupt.hold());
     let identity = hyperion.identity().unwrap();
     assert_eq!([&identity.serial, &identity.model, &identity.firmware], ["serial", "N", "F"]);
     thread.join().unwrap();

@@ -9,6 +9,9 @@
 )]
 
 mod common;
+mod limits_property;
+mod tap;
+mod tapped;
 /// `make test` runs these before all others in the machine's favour, and those beside them with `--skip keeps_time::`.
 #[path = "."]
 mod keeps_time {
@@ -16,6 +19,7 @@ mod keeps_time {
     mod faults;
     mod fuzz_short;
     mod interrogators;
+    mod kept_safe;
     mod stage;
     mod sweep;
     mod vendor_client;

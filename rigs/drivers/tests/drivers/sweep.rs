@@ -11,7 +11,7 @@ use wcal_acquisition::recorder::Recorder;
 use wcal_acquisition::replay_interrogator::ReplayInterrogator;
 use wcal_acquisition::rig::Rig;
 use wcal_acquisition::run_file::RunFile;
-use wcal_acquisition::sweep::{Ending, acquire};
+use wcal_acquisition::sweep::{Ending, StageEnd, acquire};
 use wcal_core::Role;
 use wcal_core::deadline::{Interrupt, Signal};
 use wcal_core::device::{DeviceErrorKind as Kind, Interrogator};
@@ -89,8 +89,8 @@ fn ctrl_c_stops_the_stage_and_the_session_can_be_resumed() {
         },
     )
     .unwrap();
-    let Ending::Stopped { cause, stage_stopped } = &first.sweep.ending else { panic!("{first:?}") };
-    assert!(cause.kind == Kind::Interrupted && *stage_stopped);
+    let Ending::Stopped { cause, stage } = &first.sweep.ending else { panic!("{first:?}") };
+    assert_eq!((cause.kind, *stage), (Kind::Interrupted, StageEnd::Retracted));
     assert_eq!(bench.true_stage().1, 0.0);
     let before = rows(&order.folder).rows.len();
     order.resume = true;
@@ -127,8 +127,9 @@ fn nothing_moves_when_the_plan_leaves_the_limits_or_the_reference_is_missing() {
     let wide = order(&bench, &PLAN.replace("3.0]", "30.0]"), dir.path());
     assert!(go(&wide).unwrap_err().to_string().contains("stage position"));
     let unreferenced = RecordRequest { home: false, ..order(&bench, PLAN, &dir.path().join("b")) };
-    let recorded = go(&unreferenced).unwrap();
-    assert!(matches!(&recorded.sweep.ending, Ending::Stopped { cause, .. } if cause.kind == Kind::NotHomed));
+    let why = go(&unreferenced).unwrap_err().to_string();
+    assert!(why.contains("`--home` searches the reference") && why.contains("[not-homed]"), "{why}");
+    assert!(!unreferenced.folder.exists());
     assert_eq!(bench.true_stage(), before);
 }
 

@@ -1,0 +1,7 @@
+//! The program `wcal`.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    wcal::main()
+}

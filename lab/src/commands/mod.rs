@@ -1,0 +1,6 @@
+//! The commands of `wcal-lab`, one file each.
+
+pub mod evaluate;
+pub mod exam;
+pub mod simulate;
+pub mod train;

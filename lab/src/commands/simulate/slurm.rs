@@ -1,0 +1,266 @@
+//! `wcal-lab simulate --slurm`: a job array over the shards that are missing, and a job that checks and sums up once all tasks ended.
+
+use crate::dataset::Dataset;
+use anyhow::{Context, bail, ensure};
+use clap::Args;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use wcal::picture_output::write;
+
+/// Version of `slurm/submission.json`.
+const FORMAT: &str = "wcal-slurm/1";
+/// Options of this command that the jobs do not take over; the second tells whether a value follows.
+const OWN: [(&str, bool); 5] =
+    [("--slurm", true), ("--slurm-tasks", true), ("--dry-run", false), ("--json", false), ("--shard", true)];
+
+/// Options of `wcal-lab simulate --slurm`.
+#[derive(Debug, Default, Args)]
+#[command(next_help_heading = "Slurm")]
+pub struct SlurmArgs {
+    /// Submit a job array for the missing shards, and a job that checks and sums up. HEADER begins both scripts: lines "#SBATCH --partition=long"
+    /// (time, memory, account, cores: --cpus-per-task), then shell lines such as "module load". --out is a folder that all nodes share
+    #[arg(long, value_name = "HEADER", conflicts_with_all = ["check", "shard"])]
+    pub slurm: Option<PathBuf>,
+    /// Tasks of the array
+    #[arg(long, value_name = "N", default_value_t = 50, requires = "slurm")]
+    pub slurm_tasks: usize,
+    /// Print both scripts, submit nothing
+    #[arg(long, requires = "slurm")]
+    pub dry_run: bool,
+}
+
+/// What `wcal simulate --slurm` handed in last.
+#[derive(Debug, Serialize, Deserialize, JsonSchema)]
+pub struct Submission {
+    /// Format and version.
+    #[schemars(extend("const" = FORMAT))]
+    format: String,
+    /// Job numbers; none where nothing was missing.
+    array_job: Option<String>,
+    /// Number of the job that checks.
+    check_job: Option<String>,
+    /// Tasks of the array that were handed in, as sbatch takes them.
+    tasks: String,
+    /// Shards that were missing, and in all.
+    missing: usize,
+    /// Shards in all.
+    shards: usize,
+}
+
+/// The two scripts.
+struct Scripts {
+    array: String,
+    check: String,
+}
+
+/// What became of the request.
+pub enum RequestOutcome {
+    /// Printed only.
+    Printed,
+    /// To Slurm.
+    Submitted(Submission),
+    /// Nothing is missing: check here and now.
+    Complete,
+}
+
+/// Hands the missing shards to Slurm.
+///
+/// # Errors
+/// Where an earlier submission still runs, or Slurm refuses.
+pub fn submit(
+    (args, header): (&SlurmArgs, &Path),
+    out: &Path,
+    dataset: &Dataset,
+) -> anyhow::Result<RequestOutcome> {
+    ensure!(args.slurm_tasks > 0, "--slurm-tasks: expected 1 or more, found 0");
+    let header =
+        wcal_core::files::read_text(header).with_context(|| format!("reading {}", header.display()))?;
+    let here = std::env::current_dir().context("finding the current folder")?;
+    let folder = here.join(out).join("slurm");
+    let whole = dataset.survey(out)?;
+    // More tasks than shards would do nothing.
+    let tasks = args.slurm_tasks.min(whole.shards);
+    let unfinished: BTreeSet<usize> = whole.missing.iter().map(|m| m.number % tasks + 1).collect();
+    let unfinished: Vec<usize> = unfinished.into_iter().collect();
+    if unfinished.is_empty() && !args.dry_run {
+        return Ok(RequestOutcome::Complete);
+    }
+    let array = ranges(&unfinished);
+    let job = Job { here: &here, folder: &folder, header: header.trim() };
+    let scripts = job.scripts(&array, tasks)?;
+    if args.dry_run {
+        println!("# slurm/array.sh\n{}\n# slurm/check.sh\n{}", scripts.array, scripts.check);
+        return Ok(RequestOutcome::Printed);
+    }
+    refuse_a_second(&folder)?;
+    write(&folder, "array.sh", scripts.array.as_bytes())?;
+    write(&folder, "check.sh", scripts.check.as_bytes())?;
+    let array_job = sbatch(&[], &folder.join("array.sh"))?;
+    // After any end: the check names what a failed task left out.
+    let check_job = sbatch(&[format!("--dependency=afterany:{array_job}")], &folder.join("check.sh"))?;
+    let submission = Submission {
+        format: FORMAT.to_owned(),
+        array_job: Some(array_job),
+        check_job: Some(check_job),
+        tasks: array,
+        missing: whole.missing.len(),
+        shards: whole.shards,
+    };
+    write(&folder, "submission.json", serde_json::to_string_pretty(&submission)?.as_bytes())?;
+    Ok(RequestOutcome::Submitted(submission))
+}
+
+impl Submission {
+    /// For a person.
+    pub fn print(&self) {
+        if let (Some(array), Some(check)) = (&self.array_job, &self.check_job) {
+            println!(
+                "{} of {} shards are to be made: job array {array}, tasks {}",
+                self.missing, self.shards, self.tasks
+            );
+            println!("job {check} checks them and writes dataset.json when all tasks have ended");
+        }
+    }
+}
+
+/// Two arrays over one folder would make the same shards twice.
+fn refuse_a_second(folder: &Path) -> anyhow::Result<()> {
+    let path = folder.join("submission.json");
+    let Ok(text) = wcal_core::files::read_text(&path) else { return Ok(()) };
+    let last: Submission =
+        serde_json::from_str(&text).with_context(|| format!("reading {}", path.display()))?;
+    for job in last.array_job.iter().chain(&last.check_job) {
+        let found = Command::new("squeue").args(["--noheader", "--format=%i %T", "--jobs", job]).output();
+        // A job that ended some minutes ago is unknown: squeue fails, and so it may.
+        let Ok(found) = found else { continue };
+        let queued = String::from_utf8_lossy(&found.stdout);
+        if found.status.success() && !queued.trim().is_empty() {
+            bail!(
+                "expected no job of an earlier submission to this folder in the queue, found {}: wait, or scancel {job}",
+                queued.trim().replace('\n', ", ")
+            );
+        }
+    }
+    Ok(())
+}
+
+fn sbatch(options: &[String], script: &Path) -> anyhow::Result<String> {
+    let done = Command::new("sbatch").arg("--parsable").args(options).arg(script).output();
+    let done = done.context("expected Slurm's sbatch on the path, could not start it")?;
+    if !done.status.success() {
+        bail!("sbatch {}: {}", script.display(), String::from_utf8_lossy(&done.stderr).trim());
+    }
+    // "number" or "number;cluster".
+    let text = String::from_utf8_lossy(&done.stdout);
+    Ok(text.trim().split(';').next().unwrap_or_default().to_owned())
+}
+
+struct Job<'a> {
+    here: &'a Path,
+    folder: &'a Path,
+    /// What the user begins both scripts with.
+    header: &'a str,
+}
+
+impl Job<'_> {
+    fn scripts(&self, array: &str, tasks: usize) -> anyhow::Result<Scripts> {
+        let program = std::env::current_exe().context("finding this program")?;
+        let program = utf8(&program)?.to_owned();
+        let words: Vec<String> = std::env::args().skip(1).collect();
+        let words: Vec<String> = [program].into_iter().chain(kept(&words)).collect();
+        let line = |words: &[String]| words.iter().map(|w| quoted(w)).collect::<Vec<_>>().join(" ");
+        let check = line(&words);
+        // The report is on the whole, not on a share.
+        let command = line(&words.into_iter().filter(|w| w != "--report").collect::<Vec<_>>());
+        let work = format!(
+            "export RAYON_NUM_THREADS=\"${{SLURM_CPUS_PER_TASK:-1}}\"\n\
+             {command} --shard \"$SLURM_ARRAY_TASK_ID/{tasks}\"\n\
+             code=$?\n\
+             # 3: made, with objects left out by name; the check says so once more.\n\
+             if [ \"$code\" -eq 3 ]; then code=0; fi\n\
+             exit \"$code\"\n"
+        );
+        let array = format!("#SBATCH --array={array}\n");
+        Ok(Scripts {
+            array: self.head("array", &array, "task-%a.log")? + &work,
+            check: self.head("check", "", "check.log")? + &format!("exec {check} --check\n"),
+        })
+    }
+
+    /// Lines of sbatch, this command's before the user's: Slurm reads them up to the first line of another kind.
+    fn head(&self, what: &str, more: &str, log: &str) -> anyhow::Result<String> {
+        // "%" introduces Slurm's own replacements in a file name.
+        let log = format!("{}/{log}", utf8(self.folder)?.replace('%', "%%"));
+        let here = utf8(self.here)?;
+        Ok(format!(
+            "#!/bin/sh\n#SBATCH --job-name=wcal-simulate-{what}\n#SBATCH --output=\"{log}\"\n#SBATCH --chdir=\"{here}\"\n\
+             #SBATCH --nodes=1\n#SBATCH --ntasks=1\n{more}{}\n",
+            self.header
+        ))
+    }
+}
+
+fn utf8(path: &Path) -> anyhow::Result<&str> {
+    let text = path.to_str().filter(|t| !t.contains(['"', '\n']));
+    text.with_context(|| format!("expected a path without quotes in UTF-8, found {}", path.display()))
+}
+
+/// This command's words without the ones about Slurm and shares.
+fn kept(words: &[String]) -> Vec<String> {
+    let (mut out, mut skip) = (Vec::new(), false);
+    for word in words {
+        if skip {
+            skip = false;
+            continue;
+        }
+        let (name, value) = word.split_once('=').map_or((word.as_str(), None), |(n, v)| (n, Some(v)));
+        let own = OWN.iter().find(|(n, _)| *n == name).map(|(_, follows)| *follows);
+        match own {
+            Some(follows) => skip = follows && value.is_none(),
+            None => out.push(word.clone()),
+        }
+    }
+    out
+}
+
+/// For the shell, whatever it holds.
+fn quoted(word: &str) -> String {
+    format!("'{}'", word.replace('\'', "'\\''"))
+}
+
+/// "1-3,7" for 1, 2, 3, 7.
+fn ranges(sorted: &[usize]) -> String {
+    let mut parts: Vec<[usize; 2]> = Vec::new();
+    for &k in sorted {
+        match parts.last_mut() {
+            Some(last) if last[1] + 1 == k => last[1] = k,
+            _ => parts.push([k, k]),
+        }
+    }
+    let text: Vec<String> =
+        parts.iter().map(|[a, b]| if a == b { a.to_string() } else { format!("{a}-{b}") }).collect();
+    text.join(",")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{kept, quoted, ranges};
+
+    #[test]
+    fn tasks_are_written_as_ranges() {
+        assert_eq!(ranges(&[1, 2, 3, 7, 9, 10]), "1-3,7,9-10");
+        assert_eq!(ranges(&[4]), "4");
+    }
+
+    #[test]
+    fn the_jobs_take_over_what_is_not_about_slurm() {
+        let words = |text: &str| text.split(' ').map(str::to_owned).collect::<Vec<_>>();
+        let given =
+            "simulate --object can --slurm head.sh --slurm-tasks=4 --dry-run --json --shard=1/1 --out o";
+        assert_eq!(kept(&words(given)), words("simulate --object can --out o"));
+        assert_eq!(quoted("it's"), "'it'\\''s'");
+    }
+}

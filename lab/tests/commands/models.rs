@@ -1,0 +1,296 @@
+//! `wcal-lab train`, `wcal-lab evaluate` and `wcal track` as a user runs them (SIMULATED sweeps).
+
+use crate::support::{run as wcal, text};
+use std::path::Path;
+use std::process::Output;
+
+/// A table in which the base holds still in contact: tracked, and said to be in a motion that is not known to be one of training.
+fn doubted(run: &Output) {
+    let said = text(&run.stderr);
+    assert_eq!(run.status.code(), Some(3), "{said}");
+    assert!(said.contains("marked motion-assumed in status"), "{said}");
+}
+
+fn good(args: &[&str]) -> serde_json::Value {
+    let run = wcal(args);
+    assert_eq!(run.status.code(), Some(0), "{args:?}: {}", text(&run.stderr));
+    serde_json::from_slice(&run.stdout).unwrap_or_default()
+}
+
+#[test]
+fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (plan, sweeps, model, out) = (path("plan.toml"), path("sweeps"), path("model"), path("track.csv"));
+    std::fs::write(&plan, "rate_hz = 10.0\nmost_mm = 60.0\n").unwrap();
+    let objects = ["--object", "ball", "--object", "block", "--object", "can"];
+    let simulate = ["simulate", "--sweeps", "4", "--plan", &plan, "--out", &sweeps];
+    good(&[&simulate[..], &objects[..]].concat());
+    let train = ["train", &sweeps, "--epochs", "1", "--out", &model, "--json"];
+    let card = good(&train);
+    assert_eq!((&card["format"], &card["trained_on_simulation"]), (&"wcal-model/1".into(), &true.into()));
+    assert_eq!(card["objects"]["unseen"].as_array().unwrap().len(), 1);
+    for k in 0..2 {
+        let numbers = |key: &str| -> Vec<f64> {
+            let of = card["sd_on_bench"][k][key].as_array().unwrap();
+            of.iter().map(|x| x.as_f64().unwrap()).collect()
+        };
+        let (at_mm, factors) = (numbers("at_mm"), numbers("factors"));
+        assert!(
+            at_mm.len() == factors.len() && at_mm.is_sorted() && factors.iter().all(|f| *f > 0.0),
+            "{card}"
+        );
+    }
+    let page = std::fs::read_to_string(path("model/report.html")).unwrap();
+    assert!(page.contains("<svg") && page.contains("SIMULATED"), "learning curves");
+    // A bench whose session `verify` explains; that of seed 1 leaves an unknown effect, and no calibration by effects.
+    let evaluate = ["evaluate", &sweeps, "--model", &model, "--sweeps-each", "2", "--seed", "2"];
+    let scores = good(&[&evaluate[..], &["--out", &path("evaluation"), "--json"]].concat());
+    // The objects set aside: two draws, the network with and without the base's speed, the filter with it.
+    assert_eq!(scores["test_objects"]["rows"].as_array().unwrap().len(), 6, "{scores}");
+    assert_eq!(scores["simulated"], true);
+    // Six methods on the unseen object and on the sweep kept back.
+    assert_eq!(scores["methods"].as_array().unwrap().len(), 12, "{scores}");
+    assert!(scores["streaming"]["samples_per_s"].as_f64().unwrap() > 0.0);
+    assert_eq!(scores["virtual_real"]["virtual"], true);
+    assert!(scores["virtual_real"]["worst_mm"].as_f64().unwrap() > 0.0, "{scores}");
+    // Known motion on the bench's session, beside its bound.
+    let known = &scores["known_motion"];
+    let ratio = known["error_over_bound"].as_f64().unwrap();
+    assert!(ratio > 0.2 && known["bound_mm"].as_f64().unwrap() > 0.0, "{known}");
+    assert_eq!(scores["speed"].as_array().unwrap().len(), 5);
+    // The drill's mesh does not come with the program.
+    assert_eq!(scores["sim2real"].as_array().unwrap().len(), 2);
+    let named = |name: &str| scores["ablations"].as_array().unwrap().iter().any(|a| a["name"] == name);
+    assert!(["effects-accepted", "effects-not-accepted", "horizon-1", "damping-bias"].into_iter().all(named));
+    assert!(["map-affine", "map-quadratic", "map-thin-plate", "map-matern52"].into_iter().all(named));
+    assert!(Path::new(&path("evaluation/evaluation.json")).exists());
+    // Every error of several sweeps has its interval, and the page shows it.
+    let within = |row: &serde_json::Value, key: &str| {
+        let interval = &row["interval95"][key];
+        let [low, value, high] = [&interval[0], &row[key], &interval[1]].map(|v| v.as_f64().unwrap());
+        assert!(low <= value && value <= high, "{key}: {low} {value} {high}");
+    };
+    within(&scores["virtual_real"], "worst_mm");
+    within(&scores["virtual_real"], "unseen_mean_mm");
+    within(&scores["ablations"][0], "rmse_mm");
+    within(&scores["speed"][0], "random_mm");
+    let page = std::fs::read_to_string(path("evaluation/report.html")).unwrap();
+    assert!(page.contains("map-affine") && page.contains("VIRTUAL"), "{page}");
+    let session = concat!(env!("CARGO_MANIFEST_DIR"), "/../fixtures/practice/case-004");
+    good(&["fit-gpr", session, "--out", &path("fit")]);
+    let (table, calibration) = (format!("{session}/points.csv"), path("fit/calibration.json"));
+    let track = ["track", &table, "--calibration", &calibration, "--model", &model, "--sweep", "--out", &out];
+    let run = wcal(&track);
+    assert_eq!(run.status.code(), Some(4), "{}", text(&run.stderr));
+    assert!(text(&run.stderr).contains("never verified") && !Path::new(&out).exists());
+    let run = wcal(&[&track[..], &["--force"]].concat());
+    doubted(&run);
+    let written = std::fs::read_to_string(&out).unwrap();
+    let mut lines = written.lines();
+    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let doubtful = names.iter().position(|n| *n == "calibration_doubtful").unwrap();
+    let rows: Vec<Vec<&str>> = lines.map(|l| l.split(',').collect()).collect();
+    assert_eq!(rows.len(), std::fs::read_to_string(&table).unwrap().lines().count() - 1);
+    assert!(rows.iter().all(|r| r.len() == names.len() && r[doubtful] == "1"), "every row says so");
+
+    let summary: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(path("track.json")).unwrap()).unwrap();
+    let of_segments: u64 =
+        summary["segments"].as_array().unwrap().iter().map(|s| s["rows"].as_u64().unwrap()).sum();
+    let segment = names.iter().position(|n| *n == "segment").unwrap();
+    assert_eq!(rows.iter().filter(|r| !r[segment].is_empty()).count() as u64, of_segments);
+    // What makes the exit code 3 is marked row by row.
+    let status = names.iter().position(|n| *n == "status").unwrap();
+    let marked = rows.iter().filter(|r| r[status].split('|').any(|s| s == "motion-assumed")).count() as u64;
+    assert!(marked > 0 && summary["motion_assumed_rows"] == marked, "{marked}: {summary}");
+    // Control: nobody vouches for the motion, and no row that states a contact is ok any more.
+    let unvouched = path("unvouched.csv");
+    let args: Vec<&str> = track
+        .iter()
+        .filter(|a| **a != "--sweep")
+        .map(|a| if *a == out { unvouched.as_str() } else { *a })
+        .collect();
+    let run = wcal(&[&args[..], &["--force"]].concat());
+    doubted(&run);
+    let assumed = std::fs::read_to_string(&unvouched).unwrap();
+    let assumed: Vec<Vec<&str>> = assumed.lines().skip(1).map(|l| l.split(',').collect()).collect();
+    let contact = names.iter().position(|n| *n == "contact_probability").unwrap();
+    let ok = |rows: &[Vec<&str>]| {
+        rows.iter().filter(|r| r[status] == "ok" && r[contact].parse::<f64>().is_ok_and(|p| p > 0.6)).count()
+    };
+    assert_eq!(ok(&assumed), 0, "{}", text(&run.stderr));
+
+    // The first reading as the zero: every row moves by the same moments.
+    let tared = path("tared.csv");
+    let first: Vec<&str> = track.iter().map(|a| if *a == out { tared.as_str() } else { *a }).collect();
+    let run = wcal(&[&first[..], &["--force", "--tare-s", "0.001"]].concat());
+    doubted(&run);
+    let after = std::fs::read_to_string(&tared).unwrap();
+    let after: Vec<Vec<&str>> = after.lines().skip(1).map(|l| l.split(',').collect()).collect();
+    let column = names.iter().position(|n| *n == "moment_1_nmm").unwrap();
+    let value = |rows: &[Vec<&str>], k: usize| rows[k][column].parse::<f64>().unwrap();
+    assert_eq!(value(&after, 0), 0.0);
+    let zero = value(&rows, 0);
+    assert!(
+        zero.abs() > 1e-5
+            && (0..rows.len()).all(|k| (value(&rows, k) - value(&after, k) - zero).abs() < 3e-6)
+    );
+
+    // A stream's spread is that of a bench: twice the factor, four times the covariance.
+    let place = path("model/model.json");
+    let mut card: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(&place).unwrap()).unwrap();
+    for factor in
+        card["sd_on_bench"].as_array_mut().unwrap().iter_mut().flat_map(|by| by["factors"].as_array_mut())
+    {
+        factor.iter_mut().for_each(|f| *f = (2.0 * f.as_f64().unwrap()).into());
+    }
+    std::fs::write(&place, card.to_string()).unwrap();
+    let wider = path("wider.csv");
+    let twice: Vec<&str> = track.iter().map(|a| if *a == out { wider.as_str() } else { *a }).collect();
+    doubted(&wcal(&[&twice[..], &["--force"]].concat()));
+    let wider = std::fs::read_to_string(&wider).unwrap();
+    let wider: Vec<Vec<&str>> = wider.lines().skip(1).map(|l| l.split(',').collect()).collect();
+    let column = names.iter().position(|n| *n == "var_xx_mm2").unwrap();
+    let value = |row: &[&str]| row[column].parse::<f64>().ok();
+    // Rows whose motion is not known to be one of training are not the network's alone: what the moments tell counts as well.
+    let trained = rows.iter().zip(&wider).filter(|(a, _)| !a[status].contains("motion-assumed"));
+    let ratios: Vec<f64> = trained.filter_map(|(a, b)| Some(value(b)? / value(a)?)).collect();
+    assert!(ratios.len() > 5 && ratios.iter().all(|r| (r - 4.0).abs() < 0.05), "{ratios:?}");
+
+    // Damage and lack are named.
+    let timeless = path("timeless.csv");
+    std::fs::write(&timeless, "point,fbg_1_shift_nm,fbg_2_shift_nm\n0,0.1,0.1\n").unwrap();
+    let run = wcal(&[
+        "track",
+        &timeless,
+        "--calibration",
+        &calibration,
+        "--model",
+        &model,
+        "--out",
+        &out,
+        "--force",
+    ]);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("t_s"), "{}", text(&run.stderr));
+    // Without the strain-isolated grating that the calibration needs; control: with it, and with poses of the base.
+    let table_of = |reference: bool| {
+        let mut rows = String::from(
+            "t_s,fbg_1_nm,fbg_2_nm,base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz",
+        );
+        rows += if reference { ",fbg_ref_nm\n" } else { "\n" };
+        for k in 0..20 {
+            let (t, z) = (0.1 * f64::from(k), 0.4 * f64::from(k));
+            rows += &format!("{t},1545.249,1543.606,7,0,{z},1,0,0,0");
+            rows += if reference && k != 12 {
+                ",1542.461\n"
+            } else if reference {
+                ",\n"
+            } else {
+                "\n"
+            };
+        }
+        let file = path(if reference { "carried.csv" } else { "unreferenced.csv" });
+        std::fs::write(&file, rows).unwrap();
+        wcal(&["track", &file, "--calibration", &calibration, "--model", &model, "--out", &out, "--force"])
+    };
+    let run = table_of(false);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("fbg_ref_nm"), "{}", text(&run.stderr));
+    // Nothing of an earlier track stays beside the new one; other files do.
+    let (stale, own) = (["track-events.csv"].map(path), path("track-notes.txt"));
+    stale.iter().chain([&own]).for_each(|file| std::fs::write(file, "earlier").unwrap());
+    let run = table_of(true);
+    assert!(stale.iter().all(|file| !Path::new(file).exists()) && Path::new(&own).exists());
+    assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
+    let written = std::fs::read_to_string(&out).unwrap();
+    let rows: Vec<Vec<&str>> = written.lines().skip(1).map(|l| l.split(',').collect()).collect();
+    let number = |row: usize, name: &str| -> Option<f64> {
+        let header: Vec<&str> = written.lines().next().unwrap().split(',').collect();
+        rows[row][header.iter().position(|n| *n == name).unwrap()].parse().ok()
+    };
+    // The reading without its reference is flagged and has no contact.
+    assert!(rows[12].contains(&"reference-lost") && number(12, "contact_x_mm").is_none(), "{:?}", rows[12]);
+    assert!(rows[11].contains(&"ok") && rows[11].contains(&"unverified|other-whisker"), "{:?}", rows[11]);
+    assert!((number(11, "base_speed_mm_s").unwrap() - 4.0).abs() < 1e-6);
+    let moved = |axis: &str| {
+        number(11, &format!("world_{axis}_mm")).unwrap() - number(11, &format!("contact_{axis}_mm")).unwrap()
+    };
+    assert!((moved("x") - 7.0).abs() < 1e-3 && (moved("z") - 4.4).abs() < 1e-3);
+    let weights = path("model/model.safetensors");
+    let bytes = std::fs::read(&weights).unwrap();
+    std::fs::write(&weights, &bytes[..bytes.len() / 2]).unwrap();
+    let run = wcal(&track);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("model.safetensors"), "{}", text(&run.stderr));
+}
+
+/// Trained with additional sweeps with friction, begun with another model.
+#[test]
+fn a_training_goes_on_from_a_model_beside_other_physics() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (sweeps, rough, first, model) = (path("sweeps"), path("rough"), path("first"), path("model"));
+    let (plan, with_friction) = (path("plan.toml"), path("friction.toml"));
+    std::fs::write(&plan, "rate_hz = 10.0\nmost_mm = 40.0\n").unwrap();
+    std::fs::write(&with_friction, "rate_hz = 10.0\nmost_mm = 40.0\n[physics]\nfriction = [0.1, 0.3]\n")
+        .unwrap();
+    let simulate = |seed: &str, plan: &str, out: &str| {
+        let objects = ["--object", "ball", "--object", "block", "--object", "can"];
+        good(
+            &[&["simulate", "--sweeps", "3", "--seed", seed, "--plan", plan, "--out", out][..], &objects]
+                .concat(),
+        );
+    };
+    simulate("1", &plan, &sweeps);
+    simulate("2", &with_friction, &rough);
+    let epochs = ["--epochs", "1", "--json"];
+    let before = good(&[&["train", &sweeps, "--out", &first][..], &epochs].concat());
+    assert!(before.get("began_with").is_none(), "{before}");
+    let more = ["train", &sweeps, "--from", &first, "--out", &model];
+    let additional = ["--additional", &rough];
+    let card = good(&[&more[..], &additional, &epochs].concat());
+    assert_eq!(card["began_with"], before["weights_sha256"]);
+    assert_eq!(card["data_beside"][0].as_object().unwrap().len(), 3, "{card}");
+    assert_ne!(card["data_beside"][0]["ball"], card["data"]["ball"]);
+    // The surfaces of built-in objects are known.
+    assert!(card["passes"][0]["held_out_surface_mm"].as_f64().unwrap() > 0.0, "{card}");
+    let evaluate =
+        ["evaluate", &sweeps, "--model", &model, "--out", &path("scores"), "--simulation-only", "--json"];
+    let scores = good(&evaluate);
+    assert!(scores.get("virtual_real").is_none() && scores["methods"].is_array(), "{scores}");
+
+    // What must not be: weights that have seen what this split keeps unseen, or of another network.
+    let refused = |args: &[&str], said: &str| {
+        let run = wcal(&[args, &epochs].concat());
+        assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
+        assert!(text(&run.stderr).contains(said), "{}", text(&run.stderr));
+    };
+    let other = path("other");
+    let again = ["train", &sweeps, "--from", &first, "--out", &other];
+    refused(&[&again[..], &["--seed", "3"]].concat(), "split as in this training");
+    refused(&[&again[..], &["--preset", "paper"]].concat(), "that of this training");
+}
+
+#[test]
+fn sweeps_that_cannot_be_trained_on_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let (sweeps, out) = (folder.path().join("sweeps"), folder.path().join("model"));
+    let [sweeps, out] = [&sweeps, &out].map(|p| p.to_str().unwrap().to_owned());
+    let train = ["train", &sweeps, "--epochs", "1", "--out", &out];
+    let run = wcal(&train);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains(&sweeps), "{}", text(&run.stderr));
+    good(&["simulate", "--object", "can", "--sweeps", "1", "--out", &sweeps]);
+    let run = wcal(&train);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("left to train on"), "{}", text(&run.stderr));
+    let table = std::path::Path::new(&sweeps).join("can-000000.samples.parquet");
+    let bytes = std::fs::read(&table).unwrap();
+    std::fs::write(&table, &bytes[..bytes.len() - 9]).unwrap();
+    let run = wcal(&train);
+    assert_eq!(run.status.code(), Some(1));
+    assert!(text(&run.stderr).contains("can-000000.samples.parquet"), "{}", text(&run.stderr));
+}

@@ -1,0 +1,13 @@
+//! What `wcal-plant` promises, through its public interface.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test that fails should say where, and one that measures says what it found"
+)]
+
+mod noise;
+mod physics;
+mod sessions;

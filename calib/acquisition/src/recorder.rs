@@ -110,14 +110,6 @@ impl Recorder {
         Ok(recorder)
     }
 
-    /// A recorder without a file, for a live view only.
-    ///
-    /// # Errors
-    /// When the channels cannot be made.
-    pub fn without_file() -> Result<Self, AcquisitionError> {
-        Self::on(Context::new(), None)
-    }
-
     fn on(
         context: Arc<Context>,
         file: Option<(McapWriterHandle<BufWriter<File>>, File)>,
@@ -135,10 +127,6 @@ impl Recorder {
             context,
             file,
         })
-    }
-
-    pub(crate) fn context(&self) -> &Arc<Context> {
-        &self.context
     }
 
     /// Shows everything that is recorded from now on to Foxglove clients at `address` (port 0: one of the system's choice). A client

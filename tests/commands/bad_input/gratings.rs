@@ -6,8 +6,11 @@ use crate::support::fixture;
 use std::fs;
 use std::path::Path;
 
-const COMMANDS: [&[&str]; 3] =
-    [&["doctor", "s"], &["fit-gpr", "s", "--labels", "rod", "--out", "g"], &["verify", "s", "--out", "v"]];
+const COMMANDS: [&[&str]; 3] = [
+    &["verify", "s", "--check"],
+    &["fit-gpr", "s", "--labels", "rod", "--out", "g"],
+    &["verify", "s", "--out", "v"],
+];
 
 /// The simulated session without an effect, its table changed by `edit`.
 fn session(place: &Path, edit: impl Fn(&mut Vec<Vec<String>>)) {
@@ -104,7 +107,7 @@ fn coarse_readings_and_a_gross_one_are_taken() {
         }
         set(rows, "fbg_1_nm", |k, [a, _]| (k == 50).then_some(a + 3.0));
     });
-    judge(&wcal(place.path(), &["doctor", "s"]), 0, &["rows to fit"]).unwrap();
+    judge(&wcal(place.path(), &["verify", "s", "--check"]), 0, &["rows to fit"]).unwrap();
     let fitted = wcal(place.path(), &["fit-gpr", "s", "--labels", "rod", "--out", "g"]);
     assert!(matches!(fitted.status.code(), Some(0 | 3)), "{fitted:?}");
 }
@@ -136,13 +139,17 @@ fn overflow_values_and_pasted_rows_are_left_out_and_counted() {
         "58 of 414 rows are copies of others",
         "356 rows to fit",
     ];
-    judge(&wcal(place.path(), &["doctor", "s"]), 3, &says).unwrap();
+    judge(&wcal(place.path(), &["verify", "s", "--check"]), 3, &says).unwrap();
     // A column of nothing else is no table of readings.
     let lost = tempfile::tempdir().unwrap();
     session(lost.path(), |rows| {
         let at = column(rows, "fbg_1_nm");
         rows.iter_mut().skip(1).for_each(|r| r[at] = "9.9E37".to_owned());
     });
-    judge(&wcal(lost.path(), &["doctor", "s"]), 1, &["fbg_1_nm", "overflow values in 360 of 360 rows"])
-        .unwrap();
+    judge(
+        &wcal(lost.path(), &["verify", "s", "--check"]),
+        1,
+        &["fbg_1_nm", "overflow values in 360 of 360 rows"],
+    )
+    .unwrap();
 }

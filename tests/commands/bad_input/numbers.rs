@@ -285,7 +285,7 @@ fn sessions_hold_only_numbers_that_a_wire_can_have() {
     let place = tempfile::tempdir().unwrap();
     Base::Whisker.write(place.path());
     let session = fs::read_to_string(place.path().join("session.toml")).unwrap();
-    judge_all(place.path(), &[Document::new("session", "session.toml", toml(&session), "doctor .")]);
+    judge_all(place.path(), &[Document::new("session", "session.toml", toml(&session), "verify . --check")]);
 }
 
 const SWEEPS: &str = r#"

@@ -84,15 +84,6 @@ fn broken_input_is_refused_or_narrowed_and_never_a_panic() {
     for id in ["temperature", "cross-axis", "lag", "creep"] {
         assert_eq!(rows.iter().find(|d| d["id"] == id).unwrap()["status"], "not-observable", "{id}");
     }
-    // A holdout that was in the fit.
-    let folder = session(
-        &TRANSDUCER.replace("points = \"points.csv\"", "points = \"points.csv\"\nholdout = \"holdout.csv\""),
-        &line_table(30, plain, |k, x, y| format!("{k},calibration,{x},{y}")),
-    );
-    let copied = line_table(12, plain, |k, x, y| format!("{k},holdout,{x},{y}"));
-    fs::write(folder.path().join("holdout.csv"), copied).unwrap();
-    let run = verify(folder.path());
-    assert_eq!((run.code, run.verdict()), (1, "refused"), "{}", run.verify["reason"]);
 }
 
 /// Under a clock a row that is in the fit is no holdout; repeats of a gauge that reads the same again are one.

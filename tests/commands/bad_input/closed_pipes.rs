@@ -93,6 +93,7 @@ fn every_result_is_complete_where_nobody_reads() {
 fn a_full_disk_is_an_error() {
     let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
     let mut command = program();
-    let output = command.arg("--help").stdout(full).output().unwrap();
+    let session = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/nist/pontius");
+    let output = command.arg("verify").arg(session).arg("--check").stdout(full).output().unwrap();
     judge(&output, 1, &["writing to stdout"]).unwrap();
 }

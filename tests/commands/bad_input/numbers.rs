@@ -178,12 +178,6 @@ fn rigs_and_plans_hold_only_numbers_that_a_bench_can_have() {
                 toml(&(rig + base)),
                 "stage-sweep --rig rig.toml --plan plan.toml --dry-run",
             ),
-            Document::new(
-                "plan of plan-check",
-                "plan.toml",
-                toml(PLAN),
-                "plan-check plan.toml --rig . --json",
-            ),
         ],
     );
 }

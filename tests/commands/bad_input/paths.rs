@@ -43,8 +43,6 @@ fn lines() -> Vec<Vec<&'static str>> {
         "track --calibration c.json --rig @ --out o.csv",
         "track --calibration c.json --rig rig.toml --bench @ --out o.csv",
         "report @",
-        "plan-check @ --rig rig.toml",
-        "plan-check plan.toml --rig @",
         "stage-sweep --rig @ --plan plan.toml --dry-run",
         "stage-sweep --rig rig.toml --plan @ --dry-run",
         "stage-sweep --rig rig.toml --plan plan.toml --bench @ --out o",

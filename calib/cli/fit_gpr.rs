@@ -11,7 +11,7 @@ use std::process::ExitCode;
 use wcal_calibration::{CalibrationModel, WireParts, provenance, seal};
 use wcal_core::map_document::{MapDocument, RestZero};
 use wcal_core::{Role, SessionData, VerificationStatus, WhiskerData, WhiskerRow};
-use wcal_map::{Criterion, FitOptions, MapTraining, document, fit_map, test_rest};
+use wcal_map::{FitOptions, MapTraining, document, fit_map, test_rest};
 use wcal_session::load;
 use wcal_trace::whisker::sensitivity::lost_sensitivity;
 
@@ -39,21 +39,9 @@ pub struct FitGprArgs {
     /// Reproduce the released code's map instead of choosing one
     #[arg(long, value_enum)]
     pub preset: Option<MapPreset>,
-    /// What the hyperparameters maximise
-    #[arg(long, value_enum, default_value = "evidence")]
-    pub hyperparameters: Hyperparameters,
-    /// Margin of the valid region, as a share of the readings' diameter
-    #[arg(long, value_name = "SHARE", default_value_t = wcal_map::DEFAULT_MARGIN)]
-    pub margin: f64,
-    /// Thin-plate radius in pm [default: the smallest safe one]
-    #[arg(long, value_name = "PM")]
-    pub radius_pm: Option<f64>,
     /// Print fit-gpr.json on stdout
     #[arg(long)]
     pub json: bool,
-    /// Seed, kept in the provenance; the fit itself draws nothing
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
 }
 
 /// Named settings.
@@ -61,15 +49,6 @@ pub struct FitGprArgs {
 pub enum MapPreset {
     /// Thin plate as in the code released with arXiv 2410.14005
     Released,
-}
-
-/// Criterion of the hyperparameters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Hyperparameters {
-    /// Restricted likelihood
-    Evidence,
-    /// Leave-one-out log density
-    Loo,
 }
 
 const RESULT: ResultKind<'_> = ResultKind {
@@ -86,9 +65,6 @@ const RESULT: ResultKind<'_> = ResultKind {
 /// # Errors
 /// A session, label source or setting that cannot be used, or a file that cannot be written.
 pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
-    if !(args.margin.is_finite() && args.margin >= 0.0) {
-        bail!("--margin: expected a share of at least 0, found {}", args.margin);
-    }
     expect_session(&args.session, "fit-gpr")?;
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let session = load(&args.session)?;
@@ -111,12 +87,6 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     }
     let mut options = FitOptions {
         released: args.preset.is_some(),
-        criterion: match args.hyperparameters {
-            Hyperparameters::Evidence => Criterion::Evidence,
-            Hyperparameters::Loo => Criterion::LeaveOneOut,
-        },
-        margin: args.margin,
-        radius_pm: args.radius_pm,
         labels: labels.source.clone(),
         fbg: data.fbg.clone(),
         ..FitOptions::default()
@@ -142,7 +112,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         VerificationStatus::Unverified,
         None,
         CalibrationModel::Map(fit.artefact),
-        provenance(&session, args.seed),
+        provenance(&session, 1),
         Some(WireParts { whisker: &data.whisker, moments: &data.moments, contact: None }),
     )?;
 

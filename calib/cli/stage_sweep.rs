@@ -53,7 +53,7 @@ pub struct StageSweepArgs {
     /// Serve a live view for Foxglove (Open connection, ws://127.0.0.1:8765); on loopback unless an address is given
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
     pub live: Option<SocketAddr>,
-    /// Check limits and print the path without moving
+    /// Check limits and print the path, and what the plan can show of each effect, without moving
     #[arg(long)]
     pub dry_run: bool,
     /// Print the result as JSON on stdout
@@ -181,13 +181,22 @@ fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<Exi
         plan_only((&rig.0.display().to_string(), rig.1), (&plan.0.display().to_string(), plan.1))?;
     let readings = steps.iter().filter(|s| matches!(s, Step::Settled(_))).count();
     let time_s = duration_s(&steps, &rig, &plan);
+    // A path can be driven although the wire has no equilibrium on it.
+    let shows = crate::plan_check::of_plan(&rig, &plan, &steps);
+    if let Err(why) = &shows {
+        eprintln!("warning: what the plan can show is not known: {why:#}");
+    }
     if as_json {
-        let document =
-            json!({"format": "wcal-path/1", "readings": readings, "duration_s": time_s, "steps": steps});
+        let document = json!({
+            "format": "wcal-path/1", "readings": readings, "duration_s": time_s, "steps": steps, "shows": shows.ok(),
+        });
         println!("{document}");
     } else {
         print!("{}", draw(&steps, &rig));
         println!("{readings} settled readings, about {:.0} min; limits hold", (time_s / 60.0).ceil());
+        if let Ok(shows) = &shows {
+            print!("{}", crate::plan_check::text(shows)?);
+        }
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -1,5 +1,6 @@
 //! `wcal verify`: the residual loop on a session.
 
+mod check;
 mod text;
 
 pub use text::print_text;
@@ -41,6 +42,7 @@ use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};
   wcal verify session --holdout later-session --json
   wcal verify session --add next-measurement --out out2
   wcal verify session --accept groove-friction,creep
+  wcal verify session --check
 
 Turn a plain table into a session first: wcal import TABLE.csv ... --out SESSION.
 
@@ -63,9 +65,9 @@ pub struct VerifyArgs {
     /// A sweep of the same whisker over a known object (`wcal import --kind sweep`). Explanations that it refutes are rejected (kind whisker)
     #[arg(long, value_name = "SWEEP")]
     pub sweep: Option<PathBuf>,
-    /// Validity of the written calibration, days (`expires`); afterwards `predict` and `track` refuse it
-    #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..36_500))]
-    pub valid_days: Option<u32>,
+    /// Only look at the session: what it holds, what it lacks, what looks wrong. Exit code 0: fit for use; 3: usable, with warnings; 1: not usable
+    #[arg(long, conflicts_with_all = ["add", "accept", "calibration", "sweep"])]
+    pub check: bool,
     /// Folder for verify.json, predictions.csv, report.html, report.json (input of `wcal report`) and calibration.json
     #[arg(long, value_name = "DIR", default_value = "verify-out")]
     pub out: PathBuf,
@@ -96,6 +98,9 @@ pub const RESULT: ResultKind<'_> = ResultKind {
 /// A session that cannot be read, a model that cannot be built, or a file that cannot be written.
 pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     expect_session(&args.session, "verify")?;
+    if args.check {
+        return check::check(&args.session, args.holdout.as_deref(), args.json);
+    }
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let mut session = match load(&args.session) {
         Ok(session) => session,
@@ -120,7 +125,6 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
         accept: &args.accept,
         given,
         sweep: args.sweep.as_deref(),
-        valid_days: args.valid_days,
     };
     let done = verify_session(&session, &mut out, &order)?;
     out.finish()?;
@@ -195,8 +199,6 @@ pub struct VerifyOrder<'a> {
     pub given: Option<GivenCalibration>,
     /// Folder of a sweep that judges the explanations.
     pub sweep: Option<&'a Path>,
-    /// Days for which a calibration is valid.
-    pub valid_days: Option<u32>,
 }
 
 /// Runs the loop and gathers every result; shared with `demo`.
@@ -205,7 +207,7 @@ pub fn verify_session(
     out: &mut OutputFolder<'_>,
     order: &VerifyOrder<'_>,
 ) -> anyhow::Result<ReportInput> {
-    let VerifyOrder { seed, progress, accept, given, sweep, valid_days } = order;
+    let VerifyOrder { seed, progress, accept, given, sweep } = order;
     let (seed, accept) = (*seed, *accept);
     let provenance = provenance(session, seed);
     let record = UnsealRecord::read(session, out.folder())?;
@@ -263,8 +265,7 @@ pub fn verify_session(
             _ => None,
         };
         let status = VerificationStatus::Verified;
-        let expires = valid_until(*valid_days)?;
-        let file = seal(&session.id, status, expires, model, provenance, wire)?;
+        let file = seal(&session.id, status, Some(valid_until()?), model, provenance, wire)?;
         out.put("calibration.json", serde_json::to_vec_pretty(&file)?);
     }
     if let (Some(given), Some(judged)) = (given, judged) {
@@ -368,9 +369,11 @@ fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool)
     }
 }
 
+/// Days for which a calibration is valid; afterwards `predict` and `track` refuse it. A year, as for other transducers.
+const VALID_DAYS: i64 = 365;
+
 /// Last moment of validity, RFC 3339.
-fn valid_until(days: Option<u32>) -> anyhow::Result<Option<String>> {
-    let Some(days) = days else { return Ok(None) };
-    let hours = jiff::Span::new().try_hours(24 * i64::from(days))?;
-    Ok(Some(jiff::Timestamp::now().checked_add(hours)?.to_string()))
+fn valid_until() -> anyhow::Result<String> {
+    let hours = jiff::Span::new().try_hours(24 * VALID_DAYS)?;
+    Ok(jiff::Timestamp::now().checked_add(hours)?.to_string())
 }

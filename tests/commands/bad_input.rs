@@ -47,7 +47,7 @@ fn listing(folder: &Path) -> Vec<String> {
 }
 
 #[test]
-fn doctor_names_what_is_broken() {
+fn a_check_names_what_is_broken() {
     let mut wrong = Vec::new();
     for case in TABLE {
         let place = tempfile::tempdir().unwrap();
@@ -55,7 +55,7 @@ fn doctor_names_what_is_broken() {
         fs::create_dir(&session).unwrap();
         case.write(&session);
         let before = listing(&session);
-        if let Err(why) = judge(&wcal(place.path(), &["doctor", "s"]), 1, case.says) {
+        if let Err(why) = judge(&wcal(place.path(), &["verify", "s", "--check"]), 1, case.says) {
             wrong.push(format!("{}: {why}", case.name));
         }
         assert_eq!(before, listing(&session), "{}", case.name);
@@ -64,13 +64,13 @@ fn doctor_names_what_is_broken() {
 }
 
 #[test]
-fn doctor_passes_good_sessions() {
+fn a_check_passes_good_sessions() {
     for (base, code) in [(Base::Whisker, 3), (Base::Transducer, 3), (Base::Axis, 3)] {
         let place = tempfile::tempdir().unwrap();
         base.write(place.path());
         // No pose is repeated in these three rows: usable, with a warning that matters.
-        judge(&wcal(place.path(), &["doctor", "."]), code, &["no pose is repeated"]).unwrap();
-        let json = wcal(place.path(), &["doctor", ".", "--json"]);
+        judge(&wcal(place.path(), &["verify", ".", "--check"]), code, &["no pose is repeated"]).unwrap();
+        let json = wcal(place.path(), &["verify", ".", "--check", "--json"]);
         let document: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
         assert_eq!(document["worst"], "warn");
     }
@@ -80,7 +80,7 @@ fn doctor_passes_good_sessions() {
 fn templates_load_and_are_never_overwritten() {
     let place = tempfile::tempdir().unwrap();
     judge(&wcal(place.path(), &["init", "s"]), 0, &["session.toml", "points.csv"]).unwrap();
-    let output = wcal(place.path(), &["doctor", "s"]);
+    let output = wcal(place.path(), &["verify", "s", "--check"]);
     assert_ne!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stdout));
     fs::write(place.path().join("s/session.toml"), "mine").unwrap();
     judge(&wcal(place.path(), &["init", "s"]), 1, &["session.toml"]).unwrap();
@@ -191,9 +191,8 @@ fn a_table_in_place_of_a_session_is_told_how_to_become_one() {
     let place = tempfile::tempdir().unwrap();
     let transducer: String = (0..20).map(|k| format!("{k},{},{}\n", k % 5, 20 * (k % 5) + k)).collect();
     fs::write(place.path().join("cell.csv"), format!("t_s,load_n,out v\n{transducer}")).unwrap();
-    for command in ["verify", "doctor", "fit-gpr"] {
-        let out = if command == "doctor" { &[][..] } else { &["--out", "o"] };
-        let run = wcal(place.path(), &[&[command, "cell.csv"], out].concat());
+    for command in ["verify", "fit-gpr"] {
+        let run = wcal(place.path(), &[command, "cell.csv", "--out", "o"]);
         judge(&run, 1, &["cell.csv", "use wcal import", &format!("wcal {command} cell")]).unwrap();
     }
     assert_eq!(listing(place.path()), ["cell.csv"]);
@@ -205,7 +204,7 @@ fn a_table_in_place_of_a_session_is_told_how_to_become_one() {
     let script = format!("{PROGRAM} {}", line.strip_prefix("wcal ").unwrap());
     let done = Command::new("sh").args(["-c", &script]).current_dir(place.path()).output().unwrap();
     judge(&done, 0, &["20 rows"]).unwrap();
-    judge(&wcal(place.path(), &["doctor", "cell"]), 0, &["20"]).unwrap();
+    judge(&wcal(place.path(), &["verify", "cell", "--check"]), 0, &["20"]).unwrap();
     // A session's own table: the folder is named.
     judge(&wcal(place.path(), &["verify", "cell/points.csv"]), 1, &["wcal verify cell"]).unwrap();
     fs::write(place.path().join("axis.csv"), "commanded_mm;measured_mm\n1;1\n").unwrap();

@@ -35,7 +35,7 @@ struct Sweep<'a> {
 fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep<'_>> {
     let motion = args.motion.as_deref().context("--kind sweep: expected --motion LOG.csv, found none")?;
     let table = read_text_table(&args.file, &layout(args))?;
-    let logged = motion_table::read(motion, 0.0)?;
+    let logged = motion_table::read(motion)?;
     let taken = |name: &str| name.starts_with("fbg_") && name.ends_with("_nm") || name == "temperature_degc";
     let time = table.column("t_s")?;
     let (columns, others): (Vec<usize>, Vec<usize>) =

@@ -43,11 +43,11 @@ pub fn has_motion(path: &Path) -> Result<bool, ContactError> {
     Ok(["object", "base"].iter().any(|name| place_columns(&table, name).is_some()))
 }
 
-/// Reads a log. `offset_s` is what its clock is ahead; rows with empty cells say nothing.
+/// Reads a log; rows with empty cells say nothing.
 ///
 /// # Errors
 /// What cannot be used, by line and column.
-pub fn read(path: &Path, offset_s: f64) -> Result<LoggedMotion, ContactError> {
+pub fn read(path: &Path) -> Result<LoggedMotion, ContactError> {
     let table = read_text_table(path, &TextTableLayout::default())?;
     let name = path.display().to_string();
     if table.rows.len() > MAX_ROWS {
@@ -100,7 +100,7 @@ pub fn read(path: &Path, offset_s: f64) -> Result<LoggedMotion, ContactError> {
                 (back, back * -place)
             }
         };
-        rows.push(LogRow { line: *line, t_s: t_s - offset_s, turn, moved_mm });
+        rows.push(LogRow { line: *line, t_s, turn, moved_mm });
     }
     let log = MotionLog::new(rows).map_err(ContactError::in_file(path))?;
     Ok(LoggedMotion { log, posed })

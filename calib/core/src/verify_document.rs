@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 pub use errors::{
     CalibrationContact, CalibrationJudgement, ContactUncertainty, EffectAblation, GrooveTracking,
-    HeldOutError, MapLeftOut,
+    HeldOutError,
 };
 pub use findings::{
     Detectable, EffectParameter, NamedEffect, NextMeasurement, NextPose, SecondWitness, TwinCheck, TwinFault,
@@ -95,9 +95,6 @@ pub struct VerifyDocument {
     /// What each accepted effect is worth.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub leave_one_effect_out: Vec<EffectAblation>,
-    /// Which fitted values the data determine only together, in sentences.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub identifiability: Vec<String>,
     /// How a given calibration does on readings that were not in its fit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationJudgement>,
@@ -149,7 +146,6 @@ impl VerifyDocument {
             inputs: Vec::new(),
             notes: Vec::new(),
             leave_one_effect_out: Vec::new(),
-            identifiability: Vec::new(),
             calibration: None,
             groove_tracking: None,
             sweep: None,

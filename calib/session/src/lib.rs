@@ -30,7 +30,7 @@ mod write;
 
 pub use edit::set_entries;
 pub use error::{InputError, InputErrorFields, SessionError};
-pub use findings::{Finding, Severity, duplicated_readings, examine};
+pub use findings::{Finding, Severity, examine};
 pub use holdout::{add_session, attach_holdout};
 pub use session::{LoadedSession, SESSION_FORMAT, load};
 pub use table::SIMULATED_COLUMN;

@@ -159,7 +159,7 @@ impl fmt::Display for SessionWarning {
             ),
             WarningKind::Copied { lines, of, .. } => write!(
                 f,
-                "{file}: {} of {of} rows are copies of others (same digits where repeats scatter); counted once, left out: line(s) {}",
+                "{file}: {} of {of} rows are copies of others; counted once, left out: line(s) {}",
                 lines.len(),
                 named(lines)
             ),

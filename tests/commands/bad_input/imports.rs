@@ -216,5 +216,5 @@ fn a_whisker_table_is_imported_with_its_description() {
         "new",
     ];
     judge(&wcal(place.path(), &arguments), 0, &["3 rows"]).unwrap();
-    judge(&wcal(place.path(), &["doctor", "new"]), 3, &["t_s is present"]).unwrap();
+    judge(&wcal(place.path(), &["verify", "new", "--check"]), 3, &["t_s is present"]).unwrap();
 }

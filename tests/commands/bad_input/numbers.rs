@@ -178,12 +178,6 @@ fn rigs_and_plans_hold_only_numbers_that_a_bench_can_have() {
                 toml(&(rig + base)),
                 "stage-sweep --rig rig.toml --plan plan.toml --dry-run",
             ),
-            Document::new(
-                "plan of plan-check",
-                "plan.toml",
-                toml(PLAN),
-                "plan-check plan.toml --rig . --json",
-            ),
         ],
     );
 }
@@ -285,7 +279,7 @@ fn sessions_hold_only_numbers_that_a_wire_can_have() {
     let place = tempfile::tempdir().unwrap();
     Base::Whisker.write(place.path());
     let session = fs::read_to_string(place.path().join("session.toml")).unwrap();
-    judge_all(place.path(), &[Document::new("session", "session.toml", toml(&session), "doctor .")]);
+    judge_all(place.path(), &[Document::new("session", "session.toml", toml(&session), "verify . --check")]);
 }
 
 const SWEEPS: &str = r#"

@@ -10,7 +10,7 @@ const HEAD: &str = "# JSON documents\n\n\
     absent, the table says so; units are in the names.\n";
 
 /// Files first, then what `--json` prints.
-const ORDER: [&str; 25] = [
+const ORDER: [&str; 24] = [
     "verify",
     "calibration",
     "fit-gpr",
@@ -29,10 +29,9 @@ const ORDER: [&str; 25] = [
     "peers",
     "bench",
     "import",
-    "doctor",
+    "check",
     "init",
     "predict",
-    "plan-check",
     "path",
     "sweep",
     "reduction",

@@ -121,13 +121,8 @@ fn traced(place: &Place<'_>) -> Vec<Written> {
         place.file("fit-gpr", "map/fit-gpr.json"),
         place.file("calibration", "map/calibration.json"),
     ]);
-    all.push(place.printed("doctor", "doctor held --json", &[0, 3]));
+    all.push(place.printed("check", "verify held --check --json", &[0, 3]));
     all.push(place.printed("init", "init templates --json", &[0]));
-    all.push(place.printed(
-        "plan-check",
-        "plan-check rigs/plans/paper-27.toml --rig rigs/virtual --json",
-        &[3],
-    ));
     all.push(place.printed(
         "path",
         "stage-sweep --rig rigs/paper --plan rigs/plans/rich.toml --dry-run --json",

@@ -98,7 +98,7 @@ fn a_stage_that_stays_busy_is_stopped_named_and_the_sweep_goes_on_later() {
     let (kind, said, stopped) = cause(&ended(child));
     assert!(kind == "timeout" && said.contains("BUSY") && said.contains("expected standstill"), "{said}");
     assert!(stopped, "{said}");
-    assert_ne!(doctor(&bench.session()), 1);
+    assert_ne!(check(&bench.session()), 1);
     finished(&bench.run_short("--resume"), 6);
 }
 

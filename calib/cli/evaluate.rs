@@ -4,7 +4,7 @@ mod bench_calibration;
 pub mod report;
 mod text;
 
-use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::output::{OutputFolder, Overwrite, ResultKind, unsaid};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
 use crate::simulate::{MAX_SWEEPS, within};
@@ -73,6 +73,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     files: &["report.html"],
     kept: &[],
     resumes: false,
+    made_of: unsaid,
 };
 /// Objects of each kind and sweeps over each with `--quick`.
 const QUICK: [usize; 2] = [2, 4];

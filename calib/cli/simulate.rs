@@ -6,7 +6,7 @@ mod order;
 mod report;
 mod slurm;
 
-use crate::output::{Overwrite, ResultKind};
+use crate::output::{Overwrite, ResultKind, unsaid};
 use crate::picture_output::write;
 use crate::progress::Progress;
 use anyhow::{Context, bail, ensure};
@@ -98,6 +98,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     files: &["*.parquet", "report.html", "report.json"],
     kept: &["convex", "slurm"],
     resumes: true,
+    made_of: unsaid,
 };
 
 /// Runs the command: 0, 3 where objects were left out or are doubtful, or 4 where a check finds shards missing.

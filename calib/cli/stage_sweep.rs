@@ -133,12 +133,12 @@ fn created() -> String {
 
 /// Puts the addresses of a virtual bench into a rig.
 pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
-    let addresses: serde_json::Value = serde_json::from_str(addresses)?;
+    let addresses = wcal_core::document::json(addresses)?;
     let text = |pointer: &str| {
         let value = addresses.pointer(pointer).and_then(serde_json::Value::as_str);
         value.map(str::to_owned).ok_or_else(|| anyhow!("expected {pointer}, found nothing"))
     };
-    let mut rig: toml::Table = rig.parse()?;
+    let mut rig = wcal_core::document::toml(rig)?;
     let table = |t: &mut toml::Table, name: &str| -> Result<toml::Table> {
         let value = t.remove(name).and_then(|v| v.try_into::<toml::Table>().ok());
         value.ok_or_else(|| anyhow!("expected [{name}] in the rig, found none"))
@@ -168,7 +168,7 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
 
 /// The rig of a bench in this process: nobody else drives its stage, and its time is the rig's.
 fn in_this_process(rig: &str) -> Result<String> {
-    let mut rig: toml::Table = rig.parse()?;
+    let mut rig = wcal_core::document::toml(rig)?;
     rig.remove("clock_scale");
     if let Some(stage) = rig.get_mut("stage").and_then(toml::Value::as_table_mut) {
         stage.insert("port".to_owned(), format!("in-process:{}", std::process::id()).into());

@@ -2,7 +2,7 @@
 
 mod sweeps;
 
-use crate::output::{Overwrite, ResultKind};
+use crate::output::{Overwrite, ResultKind, unsaid};
 use crate::progress::Progress;
 use crate::simulate::whisker;
 use anyhow::{bail, ensure};
@@ -109,6 +109,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     files: &["model.safetensors", "report.html"],
     kept: &["checkpoint", "baseline", "sweeps"],
     resumes: true,
+    made_of: unsaid,
 };
 
 /// Runs the command.

@@ -9,8 +9,10 @@ pub use crate::steps::{Progress, Reopen, SweepBench};
 use std::collections::BTreeSet;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use wcal_core::deadline::Deadline;
 use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, StageReading};
+use wcal_core::standstill::blame;
 
 /// Pause of those who record until the sweep has heard of an interrupt.
 pub(crate) const INTERRUPTED: Duration = Duration::from_millis(10);
@@ -74,7 +76,8 @@ pub fn acquire(
     recorder: &Recorder,
     done: &AtomicBool,
 ) {
-    let mut heard = Instant::now();
+    // From scan to scan; time in which this program itself stood still is not the unit's.
+    let mut heard = Deadline::whatever_happens(SILENCE);
     if let Err(e) = interrogator.start() {
         return lock(monitor).fail_with(e);
     }
@@ -86,13 +89,15 @@ pub fn acquire(
                 std::thread::sleep(INTERRUPTED);
                 continue;
             }
-            Err(e) => return lock(monitor).fail_with(e),
+            Err(e) => return lock(monitor).fail_with(blame(e)),
         };
         if !readings.is_empty() {
-            heard = Instant::now();
-        } else if heard.elapsed() > SILENCE {
+            heard = Deadline::whatever_happens(SILENCE);
+        } else if heard.is_over() {
             let found = format!("silence for {} s", SILENCE.as_secs());
-            return lock(monitor).fail(DeviceErrorKind::Timeout, "read the stream", "scans", &found);
+            let kind = DeviceErrorKind::Timeout;
+            let error = DeviceError::new(kind, "interrogator", "read the stream", "scans", found);
+            return lock(monitor).fail_with(blame(error));
         }
         for reading in &readings {
             if let Err(e) = recorder.scan(reading) {

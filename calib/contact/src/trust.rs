@@ -131,7 +131,7 @@ fn never_written(place: &Path) -> Option<String> {
         return None;
     }
     let beside = place.with_file_name("verify.json");
-    let document: serde_json::Value = serde_json::from_slice(&wcal_core::files::read(&beside).ok()?).ok()?;
+    let document = wcal_core::document::json(&wcal_core::files::read_text(&beside).ok()?).ok()?;
     let text = |key: &str| document[key].as_str().unwrap_or_default().to_owned();
     let ids = document["effects"].as_array().into_iter().flatten().filter_map(|e| e["id"].as_str());
     let ids = ids.collect::<Vec<_>>().join(", ");

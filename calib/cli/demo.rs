@@ -2,7 +2,7 @@
 
 mod picture;
 
-use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::output::{OutputFolder, Overwrite, ResultKind, unsaid};
 use crate::page_files::read_page;
 use crate::verify::{self, VerifyOrder, print_text, verify_session};
 use anyhow::{Context, bail};
@@ -87,6 +87,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         files: &[],
         kept: &names,
         resumes: false,
+        made_of: unsaid,
     };
     own.check(&args.out, args.overwrite.force)?;
     let kind = ResultKind { command: "demo", kept: &["session", "unsealed.json"], ..verify::RESULT };

@@ -1,7 +1,7 @@
 //! `wcal fit-gpr`: the wavelength-to-moment map of a session.
 
 use crate::labels::{LabelSource, MomentLabels, moment_labels};
-use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::output::{OutputFolder, Overwrite, ResultKind, text_of};
 use crate::progress::Progress;
 use crate::session_folder::expect_session;
 use anyhow::{Context, bail};
@@ -58,6 +58,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     files: &["calibration.json", "report.html"],
     kept: &[],
     resumes: false,
+    made_of: |folder| text_of(folder, "calibration.json", "session"),
 };
 
 /// Runs the command.
@@ -68,6 +69,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     expect_session(&args.session, "fit-gpr")?;
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let session = load(&args.session)?;
+    out.refuse_other(&session.id)?;
     for warning in &session.warnings {
         eprintln!("warning: {warning}");
     }

@@ -35,6 +35,7 @@ mod virtual_bench;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
+use wcal_core::text::brief;
 
 /// Calibrates whisker touch sensors and closes the loop between bench and simulation.
 #[derive(Debug, Parser)]
@@ -127,13 +128,18 @@ pub fn run_words(words: &[&str]) -> anyhow::Result<ExitCode> {
     dispatch(&Cli::try_parse_from(words)?.command)
 }
 
-/// An error and its causes, each once: some say their cause themselves.
+/// An error and its causes, each once: some say their cause themselves. Messages are short where they are made; what a library says of a file
+/// is cut here at the latest.
 fn with_causes(error: &anyhow::Error) -> String {
-    error.chain().map(ToString::to_string).fold(String::new(), |text, cause| match text.as_str() {
-        "" => cause,
-        said if said.ends_with(&cause) => text,
-        said => format!("{said}: {cause}"),
-    })
+    /// Longest message, characters.
+    const LONGEST: usize = 1500;
+    let whole =
+        error.chain().map(ToString::to_string).fold(String::new(), |text, cause| match text.as_str() {
+            "" => cause,
+            said if said.ends_with(&cause) => text,
+            said => format!("{said}: {cause}"),
+        });
+    if whole.chars().count() > LONGEST { brief(&whole) } else { whole }
 }
 
 /// The command line with its help in whole paragraphs: the terminal's width breaks them, not the source's.

@@ -4,7 +4,6 @@ use crate::output::{check_beside, write_file};
 use crate::page_files::read_page;
 use anyhow::{Context, bail, ensure};
 use clap::Args;
-use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::map_document::MAP_FORMAT;
@@ -85,7 +84,7 @@ fn pages_again(place: &Path) -> anyhow::Result<Vec<PathBuf>> {
 /// The page of one document.
 fn html_of(path: &Path) -> anyhow::Result<String> {
     let text = wcal_core::files::read_text(path)?;
-    let document: Value = serde_json::from_str(&text)?;
+    let document = wcal_core::document::json(&text)?;
     Ok(match document["format"].as_str() {
         Some(REPORT_FORMAT) => read_page(path)?.render(),
         Some(MAP_FORMAT) => render_map(&serde_json::from_value(document)?),

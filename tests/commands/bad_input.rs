@@ -4,12 +4,16 @@
 mod broken;
 mod calibrations;
 mod closed_pipes;
+mod columns;
+mod documents;
 mod foreign_files;
 mod gratings;
 mod imports;
 mod limits;
 mod numbers;
 mod paths;
+mod recordings;
+mod refusals;
 mod tracking;
 
 use crate::support::{PROGRAM, program_of};
@@ -184,6 +188,91 @@ fn every_out_file_refuses_what_is_not_its_own_result() {
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// A recorded session under another name.
+fn renamed(place: &Path, name: &str) {
+    let folder = place.join(name);
+    crate::support::copy::copy_folder(&crate::support::fixture("nist/pontius"), &folder);
+    let path = folder.join("session.toml");
+    let mut table: toml::Table = fs::read_to_string(&path).unwrap().parse().unwrap();
+    table.insert("id".to_owned(), name.into());
+    fs::write(path, toml::to_string(&table).unwrap()).unwrap();
+}
+
+#[test]
+fn verify_writes_beside_its_session_and_replaces_no_other_sessions_result() {
+    let place = tempfile::tempdir().unwrap();
+    let session_of = |out: &str| -> String {
+        let text = fs::read(place.path().join(out).join("calibration.json")).unwrap();
+        serde_json::from_slice::<serde_json::Value>(&text).unwrap()["session"].as_str().unwrap().to_owned()
+    };
+    for name in ["a", "b"] {
+        renamed(place.path(), name);
+        judge(&wcal(place.path(), &["verify", name]), 0, &[]).unwrap();
+    }
+    assert_eq!(listing(place.path()), ["a", "a-verified", "b", "b-verified"]);
+    assert_eq!([session_of("a-verified"), session_of("b-verified")], ["a", "b"]);
+    // From within, by its description, and again: the same place.
+    judge(&wcal(&place.path().join("a"), &["verify", "."]), 0, &[]).unwrap();
+    judge(&wcal(place.path(), &["verify", "a/session.toml"]), 0, &[]).unwrap();
+    assert_eq!(listing(place.path()).len(), 4);
+    // Another session's result is named, and kept.
+    let other = ["verify", "b", "--out", "a-verified"];
+    judge(&wcal(place.path(), &other), 1, &["a-verified", "result of b, found that of a", "--force"])
+        .unwrap();
+    assert_eq!(session_of("a-verified"), "a");
+    judge(&wcal(place.path(), &[&other[..], &["--force"]].concat()), 0, &[]).unwrap();
+    assert_eq!(session_of("a-verified"), "b");
+    // A session that cannot be read leaves no refusal in its place, either.
+    fs::write(place.path().join("a/points.csv"), "point\n").unwrap();
+    judge(
+        &wcal(place.path(), &["verify", "a", "--out", "a-verified"]),
+        1,
+        &["points.csv", "found that of b"],
+    )
+    .unwrap();
+    assert_eq!(session_of("a-verified"), "b");
+}
+
+#[test]
+fn maps_and_imported_sessions_replace_none_of_other_data() {
+    let place = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| {
+        let path = place.path().join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, text).unwrap();
+    };
+    fs::create_dir(place.path().join("w")).unwrap();
+    Base::Whisker.write(&place.path().join("w"));
+    write("o/fit-gpr.json", r#"{"format":"wcal-map/1"}"#);
+    write("o/calibration.json", r#"{"format":"wcal-calibration/1","session":"another"}"#);
+    judge(&wcal(place.path(), &["fit-gpr", "w", "--out", "o"]), 1, &["result of w, found that of another"])
+        .unwrap();
+    let import = |table: &str, columns: [&str; 2], more: &[&str]| {
+        let start = ["import", table, "--kind", "transducer", "--model", "linear", "--out", "s"];
+        wcal(
+            place.path(),
+            &[&start[..], &["--stimulus", columns[0], "--response", columns[1]], more].concat(),
+        )
+    };
+    write("load.csv", "t_s,load,out\n0,1,2.5\n1,2,4.5\n2,3,6.5\n");
+    write("strain.csv", "strain,volts\n1,2.5\n2,4.5\n3,6.5\n");
+    let whole = |output: &Output| output.status.code() != Some(1);
+    assert!(whole(&import("load.csv", ["load", "out"], &[])));
+    let before = fs::read(place.path().join("s/points.csv")).unwrap();
+    judge(
+        &import("strain.csv", ["strain", "volts"], &[]),
+        1,
+        &["strain.csv", "found that of load.csv", "--force"],
+    )
+    .unwrap();
+    assert_eq!(fs::read(place.path().join("s/points.csv")).unwrap(), before);
+    // The same table with further options, and a later state of it with the same columns.
+    assert!(whole(&import("load.csv", ["load", "out"], &["--time", "t_s"])));
+    write("load.csv", "t_s,load,out\n0,1,2.5\n1,2,4.5\n2,3,6.5\n3,4,8.5\n");
+    assert!(whole(&import("load.csv", ["load", "out"], &["--time", "t_s"])));
+    assert!(whole(&import("strain.csv", ["strain", "volts"], &["--force"])));
 }
 
 #[test]

@@ -68,8 +68,8 @@ pub fn sweep_picture(place: &Path) -> Result<SweepPicture> {
 /// What track.json says of the distances.
 fn stated(place: &Path) -> Result<String> {
     let file = place.join("bottle/track.json");
-    let text = wcal_core::files::read(&file).with_context(|| file.display().to_string())?;
-    let document: serde_json::Value = serde_json::from_slice(&text)?;
+    let text = wcal_core::files::read_text(&file).with_context(|| file.display().to_string())?;
+    let document = wcal_core::document::json(&text).with_context(|| file.display().to_string())?;
     let of = |v: &serde_json::Value| {
         let number = |key: &str| v[key].as_f64().unwrap_or(f64::NAN);
         format!(

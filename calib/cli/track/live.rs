@@ -28,10 +28,11 @@ use wcal_contact::track_table::TrackFiles;
 use wcal_contact::trust::WhiskerModel;
 use wcal_contact::whisker_track::Outcome;
 use wcal_core::clock::HostClock;
-use wcal_core::deadline::Interrupt;
+use wcal_core::deadline::{Deadline, Interrupt};
 use wcal_core::device::{DeviceError, DeviceErrorKind, FbgReading};
 use wcal_core::lock::FileLock;
 use wcal_core::rig_devices::DeviceOpener;
+use wcal_core::standstill::blame;
 use wcal_drivers::Drivers;
 
 /// A stream that is silent this long has failed.
@@ -184,7 +185,8 @@ fn unrecorded(why: &impl std::fmt::Display) -> DeviceError {
 
 /// Reads the interrogator into the intake.
 fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &FeedInput, done: &AtomicBool) {
-    let mut on_pass = Instant::now();
+    // From scan to scan; time in which this program itself stood still is not the unit's.
+    let mut heard = Deadline::whatever_happens(SILENCE);
     if let Err(e) = interrogator.start() {
         return intake.fail(e);
     }
@@ -193,23 +195,18 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Feed
             Ok(readings) => readings,
             // The user wants an end, which the tracker hears of by itself.
             Err(e) if e.kind == DeviceErrorKind::Interrupted => break,
-            Err(e) => return intake.fail(e),
+            Err(e) => return intake.fail(blame(e)),
         };
         if readings.is_empty() {
-            if on_pass.elapsed() > SILENCE {
+            if heard.is_over() {
                 let found = format!("silence for {} s", SILENCE.as_secs());
                 let kind = DeviceErrorKind::Timeout;
-                return intake.fail(DeviceError::new(
-                    kind,
-                    "interrogator",
-                    "read the stream",
-                    "scans",
-                    found,
-                ));
+                let error = DeviceError::new(kind, "interrogator", "read the stream", "scans", found);
+                return intake.fail(blame(error));
             }
             continue;
         }
-        on_pass = Instant::now();
+        heard = Deadline::whatever_happens(SILENCE);
         match intake.scans(readings) {
             Ok(true) => {}
             Ok(false) => break,

@@ -137,6 +137,7 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
     }
     let file = args.motion.as_deref().unwrap_or(path);
     let logged = read(file)?;
+    logged.warning.iter().for_each(|warning| eprintln!("warning: {warning}"));
     if let Some(span_s) = source.span_s() {
         logged.log.check_clock(span_s).with_context(|| file.display().to_string())?;
     }

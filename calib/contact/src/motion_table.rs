@@ -4,7 +4,7 @@ use crate::ContactError;
 use crate::known_motion::{LogRow, MotionLog};
 use nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
 use std::path::Path;
-use wcal_session::{TextTable, TextTableLayout, read_text_table};
+use wcal_session::{SessionWarning, TextTable, TextTableLayout, read_text_table};
 
 /// More rows than this are no log that was meant, and would fill the memory.
 const MAX_ROWS: usize = 5_000_000;
@@ -17,6 +17,8 @@ pub struct LoggedMotion {
     pub log: MotionLog,
     /// Poses of the base, not ways of the object.
     pub posed: bool,
+    /// The file may have been cut off.
+    pub warning: Option<SessionWarning>,
 }
 
 /// Columns of a place and the millimetres of their unit; none where the table has none of that name.
@@ -103,5 +105,5 @@ pub fn read(path: &Path) -> Result<LoggedMotion, ContactError> {
         rows.push(LogRow { line: *line, t_s, turn, moved_mm });
     }
     let log = MotionLog::new(rows).map_err(ContactError::in_file(path))?;
-    Ok(LoggedMotion { log, posed })
+    Ok(LoggedMotion { log, posed, warning: table.warning() })
 }

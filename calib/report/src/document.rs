@@ -10,6 +10,7 @@ use crate::sweeps::{SweepsInput, render_sweeps};
 use crate::twin::{TwinInput, render_twin};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use wcal_core::document::{DocumentError, json as json_text};
 use wcal_core::format;
 use wcal_core::ranges::{self, Range};
 use wcal_core::verify_document::VERIFY_FORMAT;
@@ -24,6 +25,10 @@ const RANGES: &[Range] = &[
     Range::whole("group", 0.0, 4e9),
     Range::whole("line", 0.0, 1e15),
     Range::whole("points", 0.0, 1e15),
+    Range::real("p_value", 0.0, 1.0 + 1e-9),
+    Range::real("coverage95", 0.0, 1.0 + 1e-9),
+    // Anything else that was measured or fitted, in any unit.
+    Range::real("", -1e150, 1e150),
 ];
 
 /// A page by what it shows.
@@ -47,10 +52,10 @@ pub enum Page {
 pub enum PageError {
     /// No JSON, or other keys and types than a page has.
     #[error("expected a page's document, found: {0}")]
-    Content(#[from] serde_json::Error),
+    Content(#[from] DocumentError),
     /// The same of the result that it shows.
     #[error("verify.json: expected the result of verify, found: {0}")]
-    Result(#[source] serde_json::Error),
+    Result(#[source] DocumentError),
     /// Another format or version, or a number that its key cannot have.
     #[error("{0}")]
     Format(String),
@@ -80,7 +85,7 @@ impl Page {
     /// # Errors
     /// None that a page can cause.
     pub fn to_json(&self) -> Result<String, PageError> {
-        let document = json!({"format": REPORT_FORMAT, "page": serde_json::to_value(self)?});
+        let document = json!({"format": REPORT_FORMAT, "page": serde_json::to_value(self).map_err(DocumentError::from)?});
         Ok(format!("{document}\n"))
     }
 
@@ -89,19 +94,19 @@ impl Page {
     /// # Errors
     /// Another format, a document that is cut off or lacks keys, or a session without its result.
     pub fn from_json(text: &str, verify: Option<&str>) -> Result<Self, PageError> {
-        let mut document: Value = serde_json::from_str(text)?;
+        let mut document = json_text(text)?;
         format::expect(REPORT_FORMAT, document["format"].as_str())
             .map_err(|e| PageError::Format(e.to_string()))?;
         ranges::check(&document, &[RANGES]).map_err(|e| PageError::Format(e.to_string()))?;
         let mut page = document["page"].take();
         if let Some(Value::Object(session)) = page.get_mut("session") {
             let verify = verify.ok_or(PageError::NoResult)?;
-            let verify: Value = serde_json::from_str(verify).map_err(PageError::Result)?;
+            let verify = json_text(verify).map_err(PageError::Result)?;
             format::expect(VERIFY_FORMAT, verify["format"].as_str())
                 .map_err(|e| PageError::ResultFormat(e.to_string()))?;
             ranges::check(&verify, &[RANGES]).map_err(|e| PageError::ResultFormat(e.to_string()))?;
             session.insert("verify".to_owned(), verify);
         }
-        Ok(serde_json::from_value(page)?)
+        Ok(serde_json::from_value(page).map_err(DocumentError::from)?)
     }
 }

@@ -1,6 +1,6 @@
 //! `wcal demo`: the whole loop on the recordings that come with the project.
 
-use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::output::{OutputFolder, Overwrite, ResultKind, unsaid};
 use crate::verify::{self, VerifyOrder, print_text, verify_session};
 use anyhow::Context;
 use clap::Args;
@@ -83,6 +83,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         files: &[],
         kept: &names,
         resumes: false,
+        made_of: unsaid,
     };
     own.check(&args.out, args.overwrite.force)?;
     let kind = ResultKind { command: "demo", kept: &["session", "unsealed.json"], ..verify::RESULT };

@@ -1,7 +1,7 @@
 //! `wcal fit-gpr`: the wavelength-to-moment map of a session.
 
 use crate::labels::{LabelSource, MomentLabels, moment_labels};
-use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::output::{OutputFolder, Overwrite, ResultKind, text_of};
 use crate::progress::Progress;
 use crate::session_folder::expect_session;
 use anyhow::{Context, bail};
@@ -11,7 +11,7 @@ use std::process::ExitCode;
 use wcal_calibration::{CalibrationModel, WireParts, provenance, seal};
 use wcal_core::map_document::{MapDocument, RestZero};
 use wcal_core::{Role, SessionData, VerificationStatus, WhiskerData, WhiskerRow};
-use wcal_map::{Criterion, FitOptions, MapTraining, document, fit_map, test_rest};
+use wcal_map::{FitOptions, MapTraining, document, fit_map, test_rest};
 use wcal_session::load;
 use wcal_trace::whisker::sensitivity::lost_sensitivity;
 
@@ -39,21 +39,9 @@ pub struct FitGprArgs {
     /// Reproduce the released code's map instead of choosing one
     #[arg(long, value_enum)]
     pub preset: Option<MapPreset>,
-    /// What the hyperparameters maximise
-    #[arg(long, value_enum, default_value = "evidence")]
-    pub hyperparameters: Hyperparameters,
-    /// Margin of the valid region, as a share of the readings' diameter
-    #[arg(long, value_name = "SHARE", default_value_t = wcal_map::DEFAULT_MARGIN)]
-    pub margin: f64,
-    /// Thin-plate radius in pm [default: the smallest safe one]
-    #[arg(long, value_name = "PM")]
-    pub radius_pm: Option<f64>,
     /// Print fit-gpr.json on stdout
     #[arg(long)]
     pub json: bool,
-    /// Seed, kept in the provenance; the fit itself draws nothing
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
 }
 
 /// Named settings.
@@ -63,15 +51,6 @@ pub enum MapPreset {
     Released,
 }
 
-/// Criterion of the hyperparameters.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Hyperparameters {
-    /// Restricted likelihood
-    Evidence,
-    /// Leave-one-out log density
-    Loo,
-}
-
 const RESULT: ResultKind<'_> = ResultKind {
     command: "fit-gpr",
     document: "fit-gpr.json",
@@ -79,6 +58,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     files: &["calibration.json", "report.html"],
     kept: &[],
     resumes: false,
+    made_of: |folder| text_of(folder, "calibration.json", "session"),
 };
 
 /// Runs the command.
@@ -86,12 +66,10 @@ const RESULT: ResultKind<'_> = ResultKind {
 /// # Errors
 /// A session, label source or setting that cannot be used, or a file that cannot be written.
 pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
-    if !(args.margin.is_finite() && args.margin >= 0.0) {
-        bail!("--margin: expected a share of at least 0, found {}", args.margin);
-    }
     expect_session(&args.session, "fit-gpr")?;
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let session = load(&args.session)?;
+    out.refuse_other(&session.id)?;
     for warning in &session.warnings {
         eprintln!("warning: {warning}");
     }
@@ -111,12 +89,6 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     }
     let mut options = FitOptions {
         released: args.preset.is_some(),
-        criterion: match args.hyperparameters {
-            Hyperparameters::Evidence => Criterion::Evidence,
-            Hyperparameters::Loo => Criterion::LeaveOneOut,
-        },
-        margin: args.margin,
-        radius_pm: args.radius_pm,
         labels: labels.source.clone(),
         fbg: data.fbg.clone(),
         ..FitOptions::default()
@@ -142,7 +114,7 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         VerificationStatus::Unverified,
         None,
         CalibrationModel::Map(fit.artefact),
-        provenance(&session, args.seed),
+        provenance(&session, 1),
         Some(WireParts { whisker: &data.whisker, moments: &data.moments, contact: None }),
     )?;
 

@@ -17,7 +17,7 @@ mod document;
 mod dynamics;
 mod stiffness;
 
-use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::output::{OutputFolder, Overwrite, ResultKind, unsaid};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
 use anyhow::Context;
@@ -109,6 +109,8 @@ const RANGES: &[Range] = &[
     Range::real("groove.contact_arclength_sd_mm", 0.0, 1e3),
     Range::real("", -1e12, 1e12),
 ];
+/// No wire is shorter; a rejected pair states 0.
+const MIN_LENGTH_MM: f64 = 1.0;
 
 const RESULT: ResultKind<'_> = ResultKind {
     command: "fit-whisker",
@@ -117,6 +119,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     files: &["whisker.xml", "dynamics.csv"],
     kept: &[],
     resumes: false,
+    made_of: unsaid,
 };
 
 /// Runs the command: 0, or 3 where shapes were left out or residuals are past what is stated.
@@ -290,6 +293,9 @@ fn measured(pair: &PairDocument) -> Result<MeasuredShape, String> {
     let held = pair.groove.as_ref().filter(|g| g.contact != "none");
     if held.is_some_and(|g| g.contacts_mm.len() > 1) {
         return Err("expected one contact, found the groove's two rims".to_owned());
+    }
+    if !(pair.length_mm >= MIN_LENGTH_MM) {
+        return Err(format!("expected a length_mm of {MIN_LENGTH_MM} or more, found {}", pair.length_mm));
     }
     if pair.centreline_mm.len() < 2 {
         return Err("expected a centre line, found none".to_owned());

@@ -4,7 +4,7 @@ mod columns;
 mod description;
 mod sweep;
 
-use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::output::{OutputFolder, Overwrite, ResultKind, first_line};
 use crate::simulated::word;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
@@ -13,7 +13,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_core::InputFile;
-use wcal_session::{Separator, SessionFiles, TextTableLayout, read_text_table, write_session};
+use wcal_session::{Separator, SessionFiles, TextTable, TextTableLayout, read_text_table, write_session};
 
 /// Arguments of `wcal import`.
 #[derive(Debug, Args)]
@@ -180,7 +180,45 @@ const RESULT: ResultKind<'_> = ResultKind {
     files: &["points.csv", "holdout.csv", "rest_shape.csv", sweep::OBJECT],
     kept: &["unsealed.json"],
     resumes: false,
+    made_of,
 };
+
+/// The tables that an imported session was made of, and its columns.
+fn made_of(folder: &Path) -> Option<String> {
+    let names = earlier_inputs(folder)?.into_iter().map(|(name, _)| name).collect::<Vec<_>>().join(", ");
+    let columns = first_line(&folder.join("points.csv")).unwrap_or_default();
+    Some(described(&names, &columns))
+}
+
+fn described(tables: &str, columns: &str) -> String {
+    format!("{tables} with the columns {columns}")
+}
+
+/// Name and hash of each table that an imported session was made of.
+fn earlier_inputs(folder: &Path) -> Option<Vec<(String, String)>> {
+    let text = wcal_core::files::read_text(folder.join("session.toml")).ok()?;
+    let table = wcal_core::document::toml(&text).ok()?;
+    let inputs = table.get("provenance")?.get("inputs")?.as_array()?;
+    let text = |input: &toml::Value, key: &str| Some(input.get(key)?.as_str()?.to_owned());
+    inputs.iter().map(|input| Some((text(input, "path")?, text(input, "sha256")?))).collect()
+}
+
+/// Refuses to replace the session of other tables. The same table may be imported again with other options, and a later state of it with the
+/// same columns.
+fn refuse_other_tables(out: &OutputFolder<'_>, tables: &[&TextTable], points: &[u8]) -> anyhow::Result<()> {
+    let earlier = earlier_inputs(out.folder()).unwrap_or_default();
+    // The first is the table of the points; a holdout may be added or left out.
+    if earlier.first().zip(tables.first()).is_some_and(|((_, sha256), table)| *sha256 == table.sha256) {
+        return Ok(());
+    }
+    let name = |table: &&TextTable| {
+        let file = Path::new(&table.file).file_name();
+        file.map_or_else(|| table.file.clone(), |n| n.to_string_lossy().into_owned())
+    };
+    let names = tables.iter().map(name).collect::<Vec<_>>().join(", ");
+    let columns = String::from_utf8_lossy(points).lines().next().unwrap_or_default().to_owned();
+    out.refuse_other(&described(&names, &columns))
+}
 
 /// Runs the command: exit code 0, or 3 where the new session carries warnings.
 ///
@@ -205,6 +243,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
         left_out.extend(more.into_iter().filter(|name| !table.columns.contains(name)));
         sources.push(holdout);
     }
+    refuse_other_tables(&out, &sources, &files.tables[0].1)?;
     let (text, more) = description::write(args, &sources)?;
     files.session_toml = text;
     files.tables.extend(more);
@@ -218,7 +257,10 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     out.put("session.toml", files.session_toml);
     out.finish()?;
     let rows = table.rows.len();
-    let warnings: Vec<String> = session.warnings.iter().map(ToString::to_string).chain(repeated).collect();
+    // Of the tables that were given: those of the session end as they should.
+    let open_ends = sources.iter().filter_map(|table| table.warning()).map(|w| w.to_string());
+    let warnings: Vec<String> =
+        session.warnings.iter().map(ToString::to_string).chain(open_ends).chain(repeated).collect();
     if args.json {
         let document = ImportDocument {
             format: "wcal-import/1",

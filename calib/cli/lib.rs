@@ -7,8 +7,6 @@
 pub mod printing;
 
 mod demo;
-mod doctor;
-mod explain;
 pub mod fit_gpr;
 pub mod fit_whisker;
 mod import;
@@ -40,6 +38,7 @@ mod schemas_test;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
+use wcal_core::text::brief;
 
 /// Calibrates whisker touch sensors and closes the loop between bench and simulation.
 #[derive(Debug, Parser)]
@@ -62,8 +61,6 @@ enum Command {
     Demo(demo::DemoArgs),
     /// Turn a plain table into a session
     Import(import::ImportArgs),
-    /// Check a session
-    Doctor(doctor::DoctorArgs),
     /// Both cameras from pairs of pictures of a board
     StereoCalibrate(stereo_calibrate::StereoCalibrateArgs),
     /// The wire's shape and the groove's contact from pairs of pictures
@@ -74,24 +71,12 @@ enum Command {
     Twin(twin::TwinArgs),
     /// Contact points from a recording of wavelengths, through a calibration and a trained tracker
     Track(track::TrackArgs),
-    /// Which effects a plan can distinguish, before anything is measured
-    PlanCheck(plan_check::PlanCheckArgs),
     /// Drive the stage through a plan, record every stream, reduce to a session
     StageSweep(stage_sweep::StageSweepArgs),
     /// Rebuild the tables of a recorded session from its raw streams
     Reduce(reduce::ReduceArgs),
     /// Serve simulated devices that speak the real ones' protocols
     VirtualBench(virtual_bench::VirtualBenchArgs),
-    /// What the effects of the catalogues are: laws, parameters, ranges, columns, sources
-    Explain(explain::ExplainArgs),
-    /// The file formats in short
-    #[command(after_long_help = explain::FORMATS)]
-    Formats,
-    /// Shell completions on stdout
-    Completions {
-        /// Shell
-        shell: clap_complete::Shell,
-    },
 }
 
 /// Runs the command line of the process; its exit code.
@@ -121,24 +106,14 @@ fn dispatch(asked: &Command) -> anyhow::Result<ExitCode> {
         Command::Predict(args) => predict::run(args),
         Command::Demo(args) => demo::run(args),
         Command::Import(args) => import::run(args),
-        Command::Doctor(args) => doctor::run(args),
         Command::StereoCalibrate(args) => stereo_calibrate::run(args),
         Command::StereoShape(args) => stereo_shape::run(args),
         Command::FitWhisker(args) => fit_whisker::run(args),
         Command::Twin(args) => twin::run(args),
         Command::Track(args) => track::run(args),
-        Command::PlanCheck(args) => plan_check::run(args),
         Command::StageSweep(args) => stage_sweep::run(args),
         Command::Reduce(args) => reduce::run(args),
         Command::VirtualBench(args) => virtual_bench::run(args),
-        Command::Explain(args) => explain::run(args),
-        Command::Formats => explain::formats(),
-        Command::Completions { shell } => {
-            let mut script = Vec::new();
-            clap_complete::generate(*shell, &mut command(), "wcal", &mut script);
-            print!("{}", String::from_utf8_lossy(&script));
-            Ok(ExitCode::SUCCESS)
-        }
     }
 }
 
@@ -150,13 +125,18 @@ pub fn run_words(words: &[&str]) -> anyhow::Result<ExitCode> {
     dispatch(&Cli::try_parse_from(words)?.command)
 }
 
-/// An error and its causes, each once: some say their cause themselves.
+/// An error and its causes, each once: some say their cause themselves. Messages are short where they are made; what a library says of a file
+/// is cut here at the latest.
 fn with_causes(error: &anyhow::Error) -> String {
-    error.chain().map(ToString::to_string).fold(String::new(), |text, cause| match text.as_str() {
-        "" => cause,
-        said if said.ends_with(&cause) => text,
-        said => format!("{said}: {cause}"),
-    })
+    /// Longest message, characters.
+    const LONGEST: usize = 1500;
+    let whole =
+        error.chain().map(ToString::to_string).fold(String::new(), |text, cause| match text.as_str() {
+            "" => cause,
+            said if said.ends_with(&cause) => text,
+            said => format!("{said}: {cause}"),
+        });
+    if whole.chars().count() > LONGEST { brief(&whole) } else { whole }
 }
 
 /// The command line with its help in whole paragraphs: the terminal's width breaks them, not the source's.
@@ -218,13 +198,13 @@ mod tests {
         let mut all = command();
         all.build();
         let mut seen = 0;
-        for sub in all.get_subcommands_mut().filter(|c| !["help", "formats"].contains(&c.get_name())) {
+        for sub in all.get_subcommands_mut().filter(|c| c.get_name() != "help") {
             let name = sub.get_name().to_owned();
             let help = sub.clone().term_width(10_000).render_long_help().to_string();
             assert_eq!(faults(&help), Vec::<String>::new(), "wcal {name} --help:\n{help}");
             seen += 1;
         }
-        assert!(seen >= 18, "{seen} commands");
+        assert!(seen >= 13, "{seen} commands");
         // The same texts as the source has them, and an escape that a raw string would show.
         let raw = Cli::command().find_subcommand_mut("twin").map(|c| c.render_long_help().to_string());
         assert!(!faults(&raw.unwrap_or_default()).is_empty(), "negative control");

@@ -1,7 +1,7 @@
 //! Where a result goes: one rule for every `--out`.
 //!
 //! - What does not exist, or is empty, is made.
-//! - What the same command wrote before is replaced whole: a file that the new result does not have does not stay.
+//! - What the same command wrote before of the same session is replaced whole: a file that the new result does not have does not stay.
 //! - Anything else is refused, before anything is computed. With `--force` the result is written there all the same: files of the
 //!   result's names are replaced, files of other names stay.
 //!
@@ -16,6 +16,7 @@ use std::fs;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use wcal_core::files::{folder_of, sync_folder, write_atomic};
+use wcal_core::text::brief;
 
 /// Consent to write where something else is.
 #[derive(Clone, Copy, Debug, Args)]
@@ -40,6 +41,19 @@ pub struct ResultKind<'a> {
     pub kept: &'a [&'a str],
     /// The command goes on where it stopped: files without a document are its own, too.
     pub resumes: bool,
+    /// What the result in a folder was made of, where it says so: a session, or tables.
+    pub made_of: fn(&Path) -> Option<String>,
+}
+
+/// [`ResultKind::made_of`] of commands whose results name no session: pictures, or a dataset whose own recipe is compared.
+pub fn unsaid(_: &Path) -> Option<String> {
+    None
+}
+
+/// A text of a JSON document in a folder.
+pub fn text_of(folder: &Path, document: &str, key: &str) -> Option<String> {
+    let text = wcal_core::files::read_text(folder.join(document)).ok()?;
+    Some(wcal_core::document::json(&text).ok()?[key].as_str()?.to_owned())
 }
 
 impl ResultKind<'_> {
@@ -131,6 +145,7 @@ fn writable(path: &Path) -> Result<()> {
 pub struct OutputFolder<'a> {
     kind: &'a ResultKind<'a>,
     folder: PathBuf,
+    force: bool,
     files: Vec<(String, Vec<u8>)>,
 }
 
@@ -141,7 +156,24 @@ impl<'a> OutputFolder<'a> {
     /// See [`ResultKind::check`].
     pub fn open(kind: &'a ResultKind<'a>, folder: &Path, force: bool) -> Result<Self> {
         kind.check(folder, force)?;
-        Ok(Self { kind, folder: folder.to_owned(), files: Vec::new() })
+        Ok(Self { kind, folder: folder.to_owned(), force, files: Vec::new() })
+    }
+
+    /// Refuses to replace the result of something else than this one is made of.
+    ///
+    /// # Errors
+    /// Where such a result is there without `force`.
+    pub fn refuse_other(&self, own: &str) -> Result<()> {
+        let earlier = (self.kind.made_of)(&self.folder).filter(|earlier| earlier != own && !self.force);
+        if let Some(earlier) = earlier {
+            bail!(
+                "--out {}: expected a new folder or an earlier result of {}, found that of {}; choose another folder, or replace it with --force",
+                self.folder.display(),
+                brief(own),
+                brief(&earlier)
+            );
+        }
+        Ok(())
     }
 
     /// The folder that `--out` names.
@@ -287,7 +319,29 @@ mod tests {
         files: &["calibration.json", "overlay-*.png"],
         kept: &["unsealed.json"],
         resumes: false,
+        made_of: |folder| text_of(folder, "verify.json", "session"),
     };
+
+    #[test]
+    fn a_result_of_another_session_is_replaced_with_force_alone() {
+        let place = tempfile::tempdir().unwrap();
+        let write = |session: &str, force: bool| -> Result<()> {
+            let mut out = OutputFolder::open(&KIND, place.path(), force)?;
+            out.refuse_other(session)?;
+            out.put("verify.json", format!(r#"{{"format":"wcal-verify/1","session":"{session}"}}"#));
+            out.finish()
+        };
+        write("a", false).unwrap();
+        write("a", false).unwrap();
+        let why = write("b", false).unwrap_err().to_string();
+        assert!(why.contains("result of b, found that of a") && why.contains("--force"), "{why}");
+        assert_eq!(text_of(place.path(), "verify.json", "session").as_deref(), Some("a"));
+        write("b", true).unwrap();
+        assert_eq!(text_of(place.path(), "verify.json", "session").as_deref(), Some("b"));
+        // Negative control: a result from before it said so.
+        fs::write(place.path().join("verify.json"), r#"{"format":"wcal-verify/1"}"#).unwrap();
+        write("c", false).unwrap();
+    }
 
     fn names(folder: &Path) -> Vec<String> {
         entries(folder).unwrap()

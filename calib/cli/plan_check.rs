@@ -1,64 +1,29 @@
-//! `wcal plan-check`: which effects a plan can distinguish, before anything is measured.
+//! Which effects a plan can distinguish, before anything is measured: the second half of `wcal stage-sweep --dry-run`.
+//!
+//! It needs no data: the readings that a typical sensor would give at the planned poses are made from the rod. What is never distinguished here cannot
+//! be distinguished by any number of repetitions.
 
 use anyhow::{Context, Result, bail};
-use clap::Args;
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use wcal_acquisition::plan::{Plan, Pose, Step};
-use wcal_acquisition::record::plan_only;
 use wcal_acquisition::rig::Rig;
 use wcal_core::{SessionData, WhiskerData};
 use wcal_session::load;
-use wcal_trace::whisker::plan_check::{PlanCheck, PlannedEffect, plan_check};
+use wcal_trace::whisker::plan_check::{PlanCheck, plan_check};
 
-/// Arguments of `wcal plan-check`.
-#[derive(Debug, Args)]
-#[command(after_help = "Examples:
-  wcal plan-check rigs/plans/paper-27.toml --rig rigs/virtual
-  wcal plan-check fixtures/whiskerfbg
-
-Needs no data: the readings that a typical sensor would give at the planned poses are made from the rod. What is never distinguished here cannot be distinguished by any number of repetitions. Exit code 3: some effects are never distinguished, absorbed or not observable.")]
-pub struct PlanCheckArgs {
-    /// Plan file, or a session folder whose poses are the plan
-    pub plan: PathBuf,
-    /// Rig: rig.toml or the folder that holds it (with a plan file)
-    #[arg(long, value_name = "RIG")]
-    pub rig: Option<PathBuf>,
-    /// Print the result as JSON on stdout
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// Runs the command: 0, or 3 where some effects cannot be seen or distinguished.
+/// What the steps of a plan on a rig can show.
 ///
 /// # Errors
-/// Where plan, rig or session cannot be used.
-pub fn run(args: &PlanCheckArgs) -> Result<ExitCode> {
-    let progress = crate::progress::Progress::new("plan-check");
-    let data = if args.plan.is_dir() {
-        match load(&args.plan)?.data {
-            SessionData::Whisker(data) => data,
-            other => bail!("plan-check: expected a session of kind \"whisker\", found {:?}", other.kind()),
-        }
-    } else {
-        let rig = args.rig.as_deref().context("--rig RIG is needed beside a plan file")?;
-        planned_session(&args.plan, rig)?
-    };
-    let check = plan_check(&data)?;
-    drop(progress);
-    if args.json {
-        let mut document = serde_json::to_value(&check)?;
-        document["format"] = "wcal-plan-check/1".into();
-        println!("{}", serde_json::to_string_pretty(&document)?);
-    } else {
-        print!("{}", text(&check)?);
-    }
-    let blind = |e: &PlannedEffect| e.status != "testable" || !e.never_apart.is_empty();
-    Ok(ExitCode::from(if check.effects.iter().any(blind) { 3 } else { 0 }))
+/// Where the wire cannot be modelled, or has no equilibrium at the planned poses.
+pub fn of_plan(rig: &Rig, plan: &Plan, steps: &[Step]) -> Result<PlanCheck> {
+    Ok(plan_check(&planned_session(rig, plan, steps)?)?)
 }
 
-fn text(check: &PlanCheck) -> Result<String> {
+/// The same for people.
+///
+/// # Errors
+/// None in practice: text is made in memory.
+pub fn text(check: &PlanCheck) -> Result<String> {
     let mut out = String::new();
     for e in &check.effects {
         let mut line = format!("{:<24}{:<16}{}", e.id, e.status, e.why);
@@ -88,21 +53,13 @@ fn text(check: &PlanCheck) -> Result<String> {
 const TURN_S: f64 = 10.0;
 
 /// The session that the plan would record, without readings: by the session reader itself, so that rig and poses are checked as a session's.
-fn planned_session(plan_file: &Path, rig: &Path) -> Result<WhiskerData> {
-    let read = |path: &Path| {
-        wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))
-    };
-    let rig_file = if rig.is_dir() { rig.join("rig.toml") } else { rig.to_owned() };
-    let (rig, plan, steps) = plan_only(
-        (&rig_file.display().to_string(), &read(&rig_file)?),
-        (&plan_file.display().to_string(), &read(plan_file)?),
-    )?;
+fn planned_session(rig: &Rig, plan: &Plan, steps: &[Step]) -> Result<WhiskerData> {
     let folder = tempfile::tempdir().context("making a folder for the planned session")?;
-    std::fs::write(folder.path().join("session.toml"), session_toml(&rig, &plan)?)?;
-    std::fs::write(folder.path().join("points.csv"), points(&steps, &rig)?)?;
+    std::fs::write(folder.path().join("session.toml"), session_toml(rig, plan)?)?;
+    std::fs::write(folder.path().join("points.csv"), points(steps, rig)?)?;
     match load(folder.path())?.data {
         SessionData::Whisker(data) => Ok(data),
-        _ => bail!("{}: expected a plan of a whisker", plan_file.display()),
+        _ => bail!("expected a plan of a whisker"),
     }
 }
 

@@ -14,8 +14,8 @@ pub fn is_simulated(path: &Path) -> bool {
         || [Some(own), own.parent()].into_iter().flatten().any(|folder| folder.join(MARKER).is_file());
     let says_so = || {
         let json = path.extension().is_some_and(|e| e == "json");
-        let document = wcal_core::files::read(path).ok().filter(|_| json);
-        let document = document.and_then(|b| serde_json::from_slice::<serde_json::Value>(&b).ok());
+        let document = json.then(|| wcal_core::files::read_text(path).ok()).flatten();
+        let document = document.and_then(|text| wcal_core::document::json(&text).ok());
         let marks =
             |d: &serde_json::Value| [&d["simulated"], &d["provenance"]["simulated"]].map(|v| v == true);
         document.is_some_and(|d| marks(&d).contains(&true))

@@ -15,9 +15,10 @@ use wcal_acquisition::path_text::{draw, duration_s};
 use wcal_acquisition::plan::Step;
 use wcal_acquisition::record::{RecordRequest, RecordResult, plan_only, record};
 use wcal_acquisition::sweep::{Ending, Progress, StageEnd};
-use wcal_core::device::{DeviceError, DeviceErrorKind, Mount};
+use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Permission};
 use wcal_drivers::Drivers;
 use wcal_drivers::bench::in_process::InProcess;
+use wcal_trace::whisker::plan_check::PlanCheck;
 
 /// Arguments of `wcal stage-sweep`.
 #[derive(Debug, Args)]
@@ -54,7 +55,7 @@ pub struct StageSweepArgs {
     /// Serve a live view for Foxglove (Open connection, ws://127.0.0.1:8765); on loopback unless an address is given
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
     pub live: Option<SocketAddr>,
-    /// Check limits and print the path without moving
+    /// Check limits and print the path, and what the plan can show of each effect, without moving
     #[arg(long)]
     pub dry_run: bool,
     /// Print the result as JSON on stdout
@@ -134,12 +135,12 @@ fn created() -> String {
 
 /// Puts the addresses of a virtual bench into a rig.
 pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
-    let addresses: serde_json::Value = serde_json::from_str(addresses)?;
+    let addresses = wcal_core::document::json(addresses)?;
     let text = |pointer: &str| {
         let value = addresses.pointer(pointer).and_then(serde_json::Value::as_str);
         value.map(str::to_owned).ok_or_else(|| anyhow!("expected {pointer}, found nothing"))
     };
-    let mut rig: toml::Table = rig.parse()?;
+    let mut rig = wcal_core::document::toml(rig)?;
     let table = |t: &mut toml::Table, name: &str| -> Result<toml::Table> {
         let value = t.remove(name).and_then(|v| v.try_into::<toml::Table>().ok());
         value.ok_or_else(|| anyhow!("expected [{name}] in the rig, found none"))
@@ -169,7 +170,7 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
 
 /// The rig of a bench in this process: nobody else drives its stage, and its time is the rig's.
 fn in_this_process(rig: &str) -> Result<String> {
-    let mut rig: toml::Table = rig.parse()?;
+    let mut rig = wcal_core::document::toml(rig)?;
     rig.remove("clock_scale");
     if let Some(stage) = rig.get_mut("stage").and_then(toml::Value::as_table_mut) {
         stage.insert("port".to_owned(), format!("in-process:{}", std::process::id()).into());
@@ -189,6 +190,8 @@ pub struct PathDocument {
     duration_s: f64,
     /// In order.
     steps: Vec<Step>,
+    /// Which effects the plan can tell apart; null where that cannot be told.
+    shows: Option<PlanCheck>,
 }
 
 /// What a sweep recorded.
@@ -250,12 +253,21 @@ fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<Exi
         plan_only((&rig.0.display().to_string(), rig.1), (&plan.0.display().to_string(), plan.1))?;
     let readings = steps.iter().filter(|s| matches!(s, Step::Settled(_))).count();
     let time_s = duration_s(&steps, &rig, &plan);
+    // A path can be driven although the wire has no equilibrium on it.
+    let shows = crate::plan_check::of_plan(&rig, &plan, &steps);
+    if let Err(why) = &shows {
+        eprintln!("warning: what the plan can show is not known: {why:#}");
+    }
     if as_json {
-        let document = PathDocument { format: "wcal-path/1", readings, duration_s: time_s, steps };
+        let document =
+            PathDocument { format: "wcal-path/1", readings, duration_s: time_s, steps, shows: shows.ok() };
         println!("{}", serde_json::to_string(&document)?);
     } else {
         print!("{}", draw(&steps, &rig));
         println!("{readings} settled readings, about {:.0} min; limits hold", (time_s / 60.0).ceil());
+        if let Ok(shows) = &shows {
+            print!("{}", crate::plan_check::text(shows)?);
+        }
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -340,13 +352,19 @@ fn ask_board(view: u32) -> Result<(), DeviceError> {
 /// How often somebody who waits for Enter listens for a signal.
 const ENTER_POLL: Duration = Duration::from_millis(50);
 
+fn no_person(device: &str, action: &str) -> DeviceError {
+    let (kind, found) = (DeviceErrorKind::Configuration, "an input that is no terminal");
+    DeviceError::new(kind, device, action, "a person at the terminal", found)
+}
+
 /// Asks a person to do something and waits for Enter.
 fn by_hand(device: &str, action: &str, what: &str) -> Result<(), DeviceError> {
-    let refuse =
-        |kind, found: &str| DeviceError::new(kind, device, action, "a person at the terminal", found);
     if !std::io::stdin().is_terminal() {
-        return Err(refuse(DeviceErrorKind::Configuration, "an input that is no terminal"));
+        return Err(no_person(device, action));
     }
+    let refuse = |found: &str| {
+        DeviceError::new(DeviceErrorKind::Interrupted, device, action, "a person at the terminal", found)
+    };
     // Without a terminal to write to there is nobody to read it either.
     let _ = std::io::stderr().write_all(format!("\n{what}, then press Enter ").as_bytes());
     // The line is read in a thread of its own: a read from a terminal does not end with a signal.
@@ -360,9 +378,9 @@ fn by_hand(device: &str, action: &str, what: &str) -> Result<(), DeviceError> {
     loop {
         match (receiver.recv_timeout(ENTER_POLL), interrupt::signal()) {
             (Ok(true), _) => return Ok(()),
-            (_, Some(signal)) => return Err(refuse(DeviceErrorKind::Interrupted, signal.name())),
+            (_, Some(signal)) => return Err(refuse(signal.name())),
             (Err(RecvTimeoutError::Timeout), None) => {}
-            _ => return Err(refuse(DeviceErrorKind::Interrupted, "the end of the input")),
+            _ => return Err(refuse("the end of the input")),
         }
     }
 }
@@ -371,7 +389,22 @@ fn by_hand(device: &str, action: &str, what: &str) -> Result<(), DeviceError> {
 struct ByHand;
 
 impl Mount for ByHand {
+    /// Nobody at the terminal can turn it; a plan of one trajectory needs nobody.
+    fn check(&mut self, trajectories: &[u32], _: Permission) -> Result<(), DeviceError> {
+        let several = trajectories.iter().any(|t| Some(t) != trajectories.first());
+        match several && !std::io::stdin().is_terminal() {
+            true => Err(no_person("mount", "turn by hand")),
+            false => Ok(()),
+        }
+    }
+
     fn select(&mut self, trajectory: u32) -> Result<(), DeviceError> {
+        if !std::io::stdin().is_terminal() {
+            eprintln!(
+                "stage-sweep: the mount is taken to stand at trajectory {trajectory}, the only one of the plan"
+            );
+            return Ok(());
+        }
         by_hand("mount", "turn by hand", &format!("turn the mount to trajectory {trajectory}"))
     }
 }

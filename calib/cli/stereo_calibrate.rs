@@ -1,6 +1,6 @@
 //! `wcal stereo-calibrate`: both cameras from pairs of pictures of a board.
 
-use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::output::{OutputFolder, Overwrite, ResultKind, unsaid};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
 use anyhow::Context;
@@ -77,6 +77,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     files: &["opencv.yml", "kalibr-camchain.yaml", "ros-*.yaml"],
     kept: &[],
     resumes: false,
+    made_of: unsaid,
 };
 
 /// Smallest side of a square, mm; other programs ask for metres.

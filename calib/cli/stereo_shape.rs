@@ -2,7 +2,7 @@
 
 mod session;
 
-use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::output::{OutputFolder, Overwrite, ResultKind, unsaid};
 use crate::picture_output::provenance;
 use crate::progress::Progress;
 use anyhow::Context;
@@ -63,6 +63,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     files: &["report.html"],
     kept: &[],
     resumes: false,
+    made_of: unsaid,
 };
 
 /// Runs the command: 0, or 3 where pairs were rejected or warnings matter.
@@ -114,8 +115,9 @@ impl Shaper {
             calibration
                 .extend(wcal_core::files::read(file).with_context(|| format!("reading {}", file.display()))?);
         }
-        let text = wcal_core::files::read_text(&rig_file);
-        let table: toml::Table = text.with_context(|| format!("reading {}", rig_file.display()))?.parse()?;
+        let reading = || format!("reading {}", rig_file.display());
+        let text = wcal_core::files::read_text(&rig_file).with_context(reading)?;
+        let table = wcal_core::document::toml(&text).with_context(reading)?;
         let source = ShapesSource {
             cameras_sha256: sha256_hex(&calibration),
             rig_sha256: rig_sha256(&serde_json::to_value(&table)?),

@@ -9,18 +9,16 @@ mod table;
 
 pub use wcal_contact::trust::filters_for;
 
-use crate::output::within;
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 use std::collections::BTreeMap;
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_acquisition::rig::Rig;
 use wcal_calibration::CalibrationModel;
 use wcal_contact::groove_comparison::contact_sentence;
 use wcal_contact::known_motion_stream::MotionAccuracy;
-use wcal_contact::sweep_session::{PLACED_SD_MM, SweepSession};
+use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::median_step_s;
 use wcal_contact::trust::{CheckedCalibration, WhiskerModel};
 use wcal_core::CalibrationFile;
@@ -36,7 +34,7 @@ use wcal_track::model_file::{load, read_card};
   wcal track readings.csv --motion arm.csv --calibration calibration.json --out track.csv
   wcal track session --calibration calibration.json --model model --out track.csv
   wcal track sweep.mcap --rig rigs/bench --calibration calibration.json --out track.csv
-  wcal track --rig rigs/bench --calibration calibration.json --model model --out track.csv --mcap track.mcap --live
+  wcal track --rig rigs/bench --calibration calibration.json --model model --out track.csv
 
 SOURCE is a table (as for `wcal predict`, with t_s in every row), a session folder, or a recording (.mcap, with --rig). Without it the rig's
 interrogator is read until Ctrl-C or --seconds.
@@ -49,7 +47,7 @@ Methods:
   Neither: each loaded reading gives the arc of the wire that its moments allow (arclength_regions95).
 
 Status of a row:
-  motion-disagrees  moments and motion do not belong together (other wire, reversed, in metres); a message says why
+  motion-disagrees  moments and motion do not belong together (other wire, reversed, in metres)
   sliding-assumed   only a contact that slides over the object explains the moments
   motion-lost       the motion is not known at this reading
   motion-assumed    the motion is not known to be one that the network was trained on: two moments cannot tell a press from a sweep. The
@@ -58,9 +56,9 @@ Status of a row:
 Where the table or session has groove_x_mm, groove_y_mm and groove_z_mm, the answers are compared with them: RMS error, Cramer-Rao bound
 (physics), coverage of the 95 % regions.
 
-Streams: scans pass the rig's channel map, temperature compensation, a linear-phase low-pass (--lag-s) and the map. t_s of a row is its effective
-time: the scan that completed it less the filter's lag. Every scan is tested for events (onset, release, slip, snap, jump). The first
---prefix-s must be free of contact. Several whiskers: gratings with `whisker = \"ID\"` in rig.toml, and --calibration ID=FILE, --model ID=DIR for each.
+Streams: scans pass the rig's channel map, temperature compensation, a linear-phase low-pass (lag 0.1 s) and the map. t_s of a row is its effective
+time: the scan that completed it less the filter's lag. The first
+3 s must be free of contact. Several whiskers: gratings with `whisker = \"ID\"` in rig.toml, and --calibration ID=FILE, --model ID=DIR for each.
 
 Beside track.csv: track.json (filters, noise, limits, counts, contact intervals) and, for a stream, track-events.csv.
 
@@ -80,35 +78,6 @@ pub struct TrackArgs {
     /// base_qz; _m for metres). Default: such columns of the table
     #[arg(long, value_name = "CSV", conflicts_with = "model")]
     pub motion: Option<PathBuf>,
-    /// Locate the contacts of a table by its moments alone: a sweep past an object at rest is assumed, along the wire's +z or -z at a steady speed
-    /// of 2.5 to 7.5 mm/s; poses in the table serve to state world coordinates and the distance from the object
-    #[arg(long, conflicts_with_all = ["model", "motion"])]
-    pub moments_only: bool,
-    /// Clock of the motion minus clock of the readings, s
-    #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true)]
-    pub motion_offset_s: f64,
-    /// Standard deviation of that offset, s
-    #[arg(long, value_name = "S", default_value_t = 0.01)]
-    pub motion_clock_sd_s: f64,
-    /// Standard deviation of the logged motion in each coordinate, mm
-    #[arg(long, value_name = "MM", default_value_t = 0.02)]
-    pub motion_sd_mm: f64,
-    /// Mesh of the object that is passed (STL); a sweep session has its own. Contacts are compared with it, and with --object-pose it judges
-    /// calibration and motion
-    #[arg(long, value_name = "STL")]
-    pub object: Option<PathBuf>,
-    /// Where that mesh lies in the frame of the base's poses: place (mm) and unit quaternion; without it the contacts place it themselves
-    #[arg(
-        long,
-        value_name = "X,Y,Z,QW,QX,QY,QZ",
-        value_delimiter = ',',
-        allow_hyphen_values = true,
-        requires = "object"
-    )]
-    pub object_pose: Option<Vec<f64>>,
-    /// Standard deviation of that place in each coordinate, mm
-    #[arg(long, value_name = "MM", default_value_t = PLACED_SD_MM)]
-    pub object_sd_mm: f64,
     /// Rig: rig.toml or the folder that holds it; a session folder has its own
     #[arg(long, value_name = "RIG")]
     pub rig: Option<PathBuf>,
@@ -129,33 +98,12 @@ pub struct TrackArgs {
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
-    /// Recording to write: contact points, events and, live, the raw streams
+    /// Recording of a live run's raw streams, which can be tracked again
     #[arg(long, value_name = "MCAP")]
     pub mcap: Option<PathBuf>,
-    /// Serve a live view for Foxglove (Open connection, ws://127.0.0.1:8765); on loopback unless an address is given
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
-    pub live: Option<SocketAddr>,
     /// Stop a stream after this time by the interrogator's clock, s
     #[arg(long, value_name = "S")]
     pub seconds: Option<f64>,
-    /// Replay a recording as fast as it was recorded, not as fast as possible
-    #[arg(long)]
-    pub real_time: bool,
-    /// Rows per second of a stream; the network was trained near 10
-    #[arg(long, value_name = "HZ", default_value_t = 10.0)]
-    pub rate_hz: f64,
-    /// Lag of the filter of a stream, s
-    #[arg(long, value_name = "S", default_value_t = 0.1)]
-    pub lag_s: f64,
-    /// Start of a stream, free of contact, from which the noise is estimated, s
-    #[arg(long, value_name = "S", default_value_t = 3.0)]
-    pub prefix_s: f64,
-    /// Largest number of false events per hour and whisker under noise as in the prefix
-    #[arg(long, value_name = "N", default_value_t = 1.0)]
-    pub false_alarms_per_hour: f64,
-    /// Scans that may wait for the tracker; further ones are dropped, counted and flagged
-    #[arg(long, value_name = "SCANS", default_value_t = 20_000)]
-    pub queue: usize,
     /// Track with a calibration or model that cannot be trusted (every row says so), or overwrite an unrelated --out
     #[arg(long)]
     pub force: bool,
@@ -164,8 +112,12 @@ pub struct TrackArgs {
     pub json: bool,
 }
 
-/// Most scans that may wait: an hour of the fastest interrogator.
-const MAX_QUEUE: u64 = 10_000_000;
+/// Rows per second of a stream: near 10 networks are trained. Lag of its filter, s; its start, free of contact, that the noise is estimated from, s.
+const RATE_HZ: f64 = 10.0;
+const LAG_S: f64 = 0.1;
+const PREFIX_S: f64 = 3.0;
+/// Standard deviations of a logged motion: each coordinate, mm, and the offset of its clock, s.
+const ACCURACY: MotionAccuracy = MotionAccuracy { moved_sd_mm: 0.02, clock_sd_s: 0.01 };
 
 /// Where readings come from.
 enum Source {
@@ -182,8 +134,9 @@ enum Source {
 /// Where a file or device cannot be used, or a row has no time.
 pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     output::check(&args.out, args.force)?;
-    within("--queue", args.queue as u64, MAX_QUEUE)?;
-    check_accuracy(args)?;
+    if let Some(tare_s) = args.tare_s.filter(|s| !(s.is_finite() && *s >= 0.0)) {
+        bail!("--tare-s: expected 0 or more, found {tare_s}");
+    }
     let (source, rig) = source(args)?;
     let names: Vec<String> = match &rig {
         Some((_, rig)) => rig.interrogator.whiskers().iter().map(|w| (*w).to_owned()).collect(),
@@ -204,7 +157,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     }
     let step_s = match &source {
         Source::Table(path) => median_step_s(path)?,
-        _ => Some(1.0 / args.rate_hz),
+        _ => Some(1.0 / RATE_HZ),
     };
     for one in &mut checked {
         one.check_step(step_s);
@@ -231,11 +184,6 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
             c.with(tracker)
         })
         .collect();
-    if let (Source::Table(path) | Source::Session(path), true) =
-        (&source, args.mcap.is_some() || args.live.is_some())
-    {
-        bail!("{}: expected a stream for --mcap and --live, found a table", path.display());
-    }
     match (source, rig, session) {
         (Source::Table(path), ..) => {
             table::track(args, &path, table::of_table(args, &path, &loaded[0])?, &loaded[0])
@@ -281,28 +229,6 @@ fn trackers(folders: &BTreeMap<String, PathBuf>) -> Result<BTreeMap<PathBuf, Tra
         trackers.insert(folder.clone(), tracker);
     }
     Ok(trackers)
-}
-
-/// Checks what the arguments say of the motion's accuracy, and of the time of the zero.
-///
-/// # Errors
-/// Negative numbers and those that are not finite.
-fn check_accuracy(args: &TrackArgs) -> Result<()> {
-    for (option, value) in [
-        ("--motion-sd-mm", args.motion_sd_mm),
-        ("--motion-clock-sd-s", args.motion_clock_sd_s),
-        ("--tare-s", args.tare_s.unwrap_or(0.0)),
-    ] {
-        if !(value.is_finite() && value >= 0.0) {
-            bail!("{option}: expected 0 or more, found {value}");
-        }
-    }
-    Ok(())
-}
-
-/// What the user says of the motion's accuracy.
-fn accuracy(args: &TrackArgs) -> MotionAccuracy {
-    MotionAccuracy { moved_sd_mm: args.motion_sd_mm, clock_sd_s: args.motion_clock_sd_s }
 }
 
 /// Says at the start what a calibration makes of a contact, where it knows; `whisker` is its name among several, or empty.

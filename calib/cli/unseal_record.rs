@@ -4,6 +4,7 @@ use anyhow::Context;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use wcal_core::document;
 use wcal_core::{InputFile, Provenance, Purpose, Seal, Unsealing};
 use wcal_session::LoadedSession;
 
@@ -37,17 +38,17 @@ pub struct UnsealedFile {
 /// Record of unsealing in a folder. Version 0 was a list of hashes.
 fn read_unsealed(path: &Path) -> anyhow::Result<Vec<Unsealed>> {
     let reading = || format!("reading {}", path.display());
-    let bytes = match wcal_core::files::read(path) {
+    let text = match wcal_core::files::read_text(path) {
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
         // What cannot be read may say that the holdout was opened.
         other => other.with_context(reading)?,
     };
-    if let Ok(hashes) = serde_json::from_slice::<Vec<String>>(&bytes) {
+    if let Ok(hashes) = document::json_as::<Vec<String>>(&text) {
         let of =
             |sha256| Unsealed { sha256, path: String::new(), when: String::new(), program: String::new() };
         return Ok(hashes.into_iter().map(of).collect());
     }
-    let file: UnsealedFile = serde_json::from_slice(&bytes).with_context(reading)?;
+    let file: UnsealedFile = document::json_as(&text).with_context(reading)?;
     wcal_core::format::expect(FORMAT, Some(&file.format))
         .map_err(anyhow::Error::msg)
         .with_context(reading)?;

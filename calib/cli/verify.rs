@@ -1,10 +1,11 @@
 //! `wcal verify`: the residual loop on a session.
 
+pub mod check;
 mod text;
 
 pub use text::print_text;
 
-use crate::output::{OutputFolder, Overwrite, ResultKind};
+use crate::output::{OutputFolder, Overwrite, ResultKind, text_of};
 use crate::progress::Progress;
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
@@ -23,6 +24,7 @@ use wcal_contact::session_groove;
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::sweep_verify::verify_with_sweep;
 use wcal_contact::sweep_witness::SweepWitness;
+use wcal_core::files::folder_of;
 use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, VerifyDocument};
 use wcal_core::{Provenance, SessionData, Unsealing, VerificationStatus, WhiskerData};
 use wcal_report::ReportInput;
@@ -38,8 +40,9 @@ use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};
   wcal verify fixtures/whiskerfbg --out out
   wcal verify fixtures/nist/pontius --out out
   wcal verify session --holdout later-session --json
-  wcal verify session --add next-measurement --out out2
+  wcal verify session --add next-measurement --out session-and-next
   wcal verify session --accept groove-friction,creep
+  wcal verify session --check
 
 Turn a plain table into a session first: wcal import TABLE.csv ... --out SESSION.
 
@@ -62,12 +65,12 @@ pub struct VerifyArgs {
     /// A sweep of the same whisker over a known object (`wcal import --kind sweep`). Explanations that it refutes are rejected (kind whisker)
     #[arg(long, value_name = "SWEEP")]
     pub sweep: Option<PathBuf>,
-    /// Validity of the written calibration, days (`expires`); afterwards `predict` and `track` refuse it
-    #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..36_500))]
-    pub valid_days: Option<u32>,
-    /// Folder for verify.json, predictions.csv, report.html and calibration.json
-    #[arg(long, value_name = "DIR", default_value = "verify-out")]
-    pub out: PathBuf,
+    /// Only look at the session: what it holds, what it lacks, what looks wrong. Exit code 0: fit for use; 3: usable, with warnings; 1: not usable
+    #[arg(long, conflicts_with_all = ["add", "accept", "calibration", "sweep"])]
+    pub check: bool,
+    /// Folder for verify.json, predictions.csv, report.html and calibration.json [default: SESSION-verified, beside the session]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
     /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
@@ -87,6 +90,7 @@ pub const RESULT: ResultKind<'_> = ResultKind {
     files: &["predictions.csv", "report.html", "calibration.json", "judged-calibration.json"],
     kept: &["unsealed.json"],
     resumes: false,
+    made_of: |folder| text_of(folder, "verify.json", "session"),
 };
 
 /// Runs the command.
@@ -95,11 +99,16 @@ pub const RESULT: ResultKind<'_> = ResultKind {
 /// A session that cannot be read, a model that cannot be built, or a file that cannot be written.
 pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     expect_session(&args.session, "verify")?;
-    let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
+    if args.check {
+        return check::check(&args.session, args.holdout.as_deref(), args.json);
+    }
+    let folder = args.out.clone().map_or_else(|| beside(&args.session), Ok)?;
+    let mut out = OutputFolder::open(&RESULT, &folder, args.overwrite.force)?;
     let mut session = match load(&args.session) {
         Ok(session) => session,
         Err(why) => return Err(refuse_unusable(args, out, why)),
     };
+    out.refuse_other(&session.id)?;
     // What joining sessions says by itself is no reason to doubt the result.
     let doubtful = !session.warnings.is_empty();
     for later in &args.add {
@@ -119,7 +128,6 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
         accept: &args.accept,
         given,
         sweep: args.sweep.as_deref(),
-        valid_days: args.valid_days,
     };
     let done = verify_session(&session, &mut out, &order)?;
     out.finish()?;
@@ -127,19 +135,37 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     if args.json {
         println!("{}", serde_json::to_string_pretty(&done.verify)?);
     } else {
-        print_text(&done, &args.out);
+        print_text(&done, &folder);
     }
     Ok(exit_code(done.verify.verdict, doubtful || done.verify.after_trimmed.is_some()))
 }
 
-/// Data that cannot be used still get a `verify.json` that says so, beside the error, in place of an earlier result.
+/// `SESSION-verified`, beside the session.
+fn beside(session: &Path) -> anyhow::Result<PathBuf> {
+    let named = if session.is_file() { folder_of(session) } else { session };
+    // `.` and `..` have no name of their own.
+    let named = match named.file_name() {
+        Some(_) => named.to_owned(),
+        None => named.canonicalize().with_context(|| format!("reading {}", session.display()))?,
+    };
+    let name =
+        named.file_name().with_context(|| format!("{}: expected a session folder", session.display()))?;
+    let mut verified = name.to_owned();
+    verified.push("-verified");
+    Ok(named.with_file_name(verified))
+}
+
+/// Data that cannot be used still get a `verify.json` that says so, beside the error, in place of an earlier result of the same session.
 fn refuse_unusable(args: &VerifyArgs, mut out: OutputFolder<'_>, why: SessionError) -> anyhow::Error {
     let SessionError::Content(_) = &why else { return why.into() };
-    let kind = wcal_core::files::read_text(args.session.join("session.toml"))
-        .ok()
-        .and_then(|text| text.parse::<toml::Table>().ok())
-        .and_then(|t| Some(t.get("kind")?.as_str()?.to_owned()));
-    let name = args.session.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    let read = wcal_core::files::read_text(args.session.join("session.toml")).ok();
+    let table = read.and_then(|text| wcal_core::document::toml(&text).ok()).unwrap_or_default();
+    let text = |key: &str| Some(table.get(key)?.as_str()?.to_owned());
+    let folder = || args.session.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    let (name, kind) = (text("id").unwrap_or_else(folder), text("kind"));
+    if let Err(other) = out.refuse_other(&name) {
+        return anyhow::Error::from(why).context(other.to_string());
+    }
     let kind = kind.unwrap_or_else(|| "unknown".to_owned());
     let mut document = VerifyDocument::refused(name, kind, why.to_string(), args.seed);
     document.simulated = is_simulated(&args.session.join("session.toml"));
@@ -194,8 +220,6 @@ pub struct VerifyOrder<'a> {
     pub given: Option<GivenCalibration>,
     /// Folder of a sweep that judges the explanations.
     pub sweep: Option<&'a Path>,
-    /// Days for which a calibration is valid.
-    pub valid_days: Option<u32>,
 }
 
 /// Runs the loop and gathers every result; shared with `demo`.
@@ -204,7 +228,7 @@ pub fn verify_session(
     out: &mut OutputFolder<'_>,
     order: &VerifyOrder<'_>,
 ) -> anyhow::Result<ReportInput> {
-    let VerifyOrder { seed, progress, accept, given, sweep, valid_days } = order;
+    let VerifyOrder { seed, progress, accept, given, sweep } = order;
     let (seed, accept) = (*seed, *accept);
     let provenance = provenance(session, seed);
     let record = UnsealRecord::read(session, out.folder())?;
@@ -262,8 +286,7 @@ pub fn verify_session(
             _ => None,
         };
         let status = VerificationStatus::Verified;
-        let expires = valid_until(*valid_days)?;
-        let file = seal(&session.id, status, expires, model, provenance, wire)?;
+        let file = seal(&session.id, status, Some(valid_until()?), model, provenance, wire)?;
         out.put("calibration.json", serde_json::to_vec_pretty(&file)?);
     }
     if let (Some(given), Some(judged)) = (given, judged) {
@@ -367,9 +390,11 @@ fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool)
     }
 }
 
+/// Days for which a calibration is valid; afterwards `predict` and `track` refuse it. A year, as for other transducers.
+const VALID_DAYS: i64 = 365;
+
 /// Last moment of validity, RFC 3339.
-fn valid_until(days: Option<u32>) -> anyhow::Result<Option<String>> {
-    let Some(days) = days else { return Ok(None) };
-    let hours = jiff::Span::new().try_hours(24 * i64::from(days))?;
-    Ok(Some(jiff::Timestamp::now().checked_add(hours)?.to_string()))
+fn valid_until() -> anyhow::Result<String> {
+    let hours = jiff::Span::new().try_hours(24 * VALID_DAYS)?;
+    Ok(jiff::Timestamp::now().checked_add(hours)?.to_string())
 }

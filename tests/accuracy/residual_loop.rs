@@ -39,27 +39,11 @@ fn whiskerfbg_faulty_labels_are_found_and_the_error_falls() {
     let after = v["after"]["wavelength_rmse_pm"].as_f64().expect("after");
     assert!((before - 24.1).abs() < 0.2, "released labels with K and zero leave about 24 pm, found {before}");
     assert!(after < 0.5 * before, "{before} -> {after}");
-    // The map left out reading by reading, on the released and on the repaired labels: 28 rows, affine.
-    let map = |side: &str, k: usize| v[side]["loo"]["moment_rmse_nmm_each"][k].as_f64().expect("loo");
-    assert_eq!(
-        (v["before"]["loo"]["map"].as_str(), v["before"]["loo"]["points"].as_u64()),
-        (Some("affine"), Some(28))
-    );
-    assert!(
-        (map("before", 0) - 0.50).abs() < 0.005 && (map("before", 1) - 0.24).abs() < 0.005,
-        "{}",
-        v["before"]
-    );
-    assert!(map("after", 0) < 0.5 * map("before", 0) && map("after", 1) < map("before", 1), "{}", v["after"]);
     // The guide quotes this run and nothing else (README's row: tests/contracts/results.rs).
     let page = |name: &str| std::fs::read_to_string(repository(name)).expect("page");
     let guide = page("docs/src/guide/whisker.md");
     let quoted = format!(
-        "| {before:.1} pm | {after:.1} pm | {:.2} / {:.2} N mm | {:.2} / {:.2} N mm | 11, 14, 17, 20, 23, 26 | {} |",
-        map("before", 0),
-        map("before", 1),
-        map("after", 0),
-        map("after", 1),
+        "| {before:.1} pm | {after:.1} pm | 11, 14, 17, 20, 23, 26 | {} |",
         v["verdict"].as_str().expect("verdict")
     );
     assert!(guide.contains(&quoted), "the guide lacks the line that this run prints: {quoted}");

@@ -70,7 +70,10 @@ fn a_fault_of_the_cameras_is_called_one() {
     }
 }
 
-/// Rates over some tens of draws, printed: `cargo test --test accuracy second_witness::rates -- --ignored --nocapture`.
+/// Share of the draws that must be right where the tests above ask for every one of a few: nothing acting, or one effect or fault in pictures.
+const RIGHT: f64 = 0.8;
+
+/// Rates over some tens of draws, printed and held: `cargo test --test accuracy second_witness::rates -- --ignored --nocapture`.
 #[test]
 #[ignore = "some minutes"]
 fn rates() {
@@ -84,6 +87,7 @@ fn rates() {
         ("rig-tag", vec![], Fault::RigTag([0.3, 0.0, 0.0]), Some("rig-tag")),
         ("camera-pose", vec![], Fault::Moved([0.0, 0.15, 0.1], 0.5), Some("camera-pose")),
     ];
+    let mut missed = Vec::new();
     for (name, effects, fault, wanted) in kinds {
         for pictures in [false, true] {
             if !pictures && fault != Fault::None {
@@ -98,9 +102,21 @@ fn rates() {
                 None => a.names_both(["contact-offset", "base-compliance"]),
             };
             let count = |f: &dyn Fn(&Answer) -> bool| answers.iter().filter(|a| f(a)).count();
+            let all_right = answers.iter().filter(right).count();
+            // By chance alone: two standard deviations of a count whose share is `RIGHT`.
+            let least = RIGHT * draws as f64 - 2.0 * (RIGHT * (1.0 - RIGHT) * draws as f64).sqrt();
+            if (pictures || effects.is_empty()) && effects.len() < 2 && (all_right as f64) < least {
+                missed.push(format!("{name}, pictures {pictures}: {all_right} of {draws}"));
+            }
+            // Negative control: wavelengths alone do not tell a root that turns from a contact that is off.
+            if name == "base-compliance" && !pictures && (all_right as f64) >= least {
+                missed.push(format!(
+                    "{name} without pictures: {all_right} of {draws}, which shows nothing of the pictures"
+                ));
+            }
             println!(
                 "{name:<20} pictures {pictures:<5} right {}/{draws} ambiguous {} adequate {} unknown {}; {:.1} s each; others: {:?}",
-                answers.iter().filter(right).count(),
+                all_right,
                 count(&|a| a.verdict == Verdict::Ambiguous),
                 count(&|a| a.verdict == Verdict::Adequate),
                 count(&|a| a.verdict == Verdict::UnknownEffect),
@@ -113,4 +129,5 @@ fn rates() {
             );
         }
     }
+    assert!(missed.is_empty(), "{missed:#?}");
 }

@@ -181,7 +181,7 @@ fn a_sweep_in_the_release_s_layout_is_tracked_and_scored_against_its_mesh() {
     };
     let right = score("right", 1.0);
     let of = |s: &serde_json::Value, key: &str| s[key].as_f64().unwrap();
-    assert!(of(&right, "points") > 20.0 && right["placed_by_points"] == false, "{right}");
+    assert!(of(&right, "points") > 20.0, "{right}");
     // 0.3 mm of it is the tracker's on clean sweeps; the mean of 300 samples rounds the onset.
     assert!(of(&right, "rmse_mm") < 1.5, "{right}");
     // Control: moments of the other sign are no sweep over this object.

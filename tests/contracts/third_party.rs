@@ -173,3 +173,30 @@ fn no_lgpl_solver_is_in_the_program() {
         "NLopt was built with its LGPL part, before .cargo/config.toml said otherwise: cargo clean -p nlopt"
     );
 }
+
+/// The last line of `.ci/run` where `make` does nothing, with and without `cargo-deny`.
+fn last_line_of_ci(with_deny: bool) -> String {
+    let place = tempfile::tempdir().unwrap();
+    let stub = |name: &str| {
+        let path = place.path().join(name);
+        fs::write(&path, "#!/bin/sh\nexit 0\n").unwrap();
+        assert!(std::process::Command::new("chmod").arg("+x").arg(path).status().unwrap().success());
+    };
+    stub("make");
+    if with_deny {
+        stub("cargo-deny");
+    }
+    // Where the shell's own tools are, and nothing of cargo.
+    let path = format!("{}:/usr/bin:/bin", place.path().display());
+    let run =
+        std::process::Command::new("bash").arg(repository(".ci/run")).env("PATH", path).output().unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    String::from_utf8_lossy(&run.stdout).lines().next_back().unwrap_or_default().to_owned()
+}
+
+#[test]
+fn the_last_line_of_ci_says_whether_known_vulnerabilities_were_looked_up() {
+    let [with, without] = [true, false].map(last_line_of_ci);
+    assert!(with.contains("looked up") && !with.contains("NOT"), "{with}");
+    assert!(without.contains("NOT looked up") && without.contains("cargo-deny"), "{without}");
+}

@@ -103,8 +103,6 @@ impl Swept {
             .arg("--out")
             .arg(&out)
             .arg("--json")
-            // The host's clock goes four times as fast as the wall's, its delays too.
-            .args(["--motion-clock-sd-s", "0.04"])
             .args(more)
             .output()
             .unwrap();
@@ -206,7 +204,7 @@ fn live(swept: &Swept) {
         std::fs::write(swept.path("live.toml"), rig).unwrap();
         let _ = std::fs::remove_file(swept.path("live.csv"));
         let child = program()
-            .args(["track", "--json", "--seconds", "20", "--motion-clock-sd-s", "0.04", "--rig"])
+            .args(["track", "--json", "--seconds", "20", "--rig"])
             .arg(swept.path("live.toml"))
             .arg("--bench")
             .arg(&bench.addresses)
@@ -292,11 +290,6 @@ fn logs(swept: &Swept, by_stage: &Run) {
     assert!(matches!(run.code, Some(0 | 3)) && run.said.contains("jumps"), "{}", run.said);
     assert_eq!(run.summary["stream_motion"]["source"], "log");
     assert!(run.end_mm() < 2.0 * by_stage.end_mm() + 0.2, "{} {}", run.end_mm(), by_stage.end_mm());
-    // A clock that is ahead, and is said to be.
-    write_log(&log, &rows, |_, t| (t + 7.0).to_string());
-    let stated = along(&["--motion-offset-s", "7"]);
-    assert!((stated.end_mm() - run.end_mm()).abs() < 0.02, "{} {}", stated.end_mm(), run.end_mm());
-
     // Refused by name, and nothing is written.
     let refused = |what: &str, cell: &dyn Fn(usize, f64) -> String| {
         write_log(&log, &rows, cell);

@@ -85,8 +85,8 @@ fn until_done(session: &Path, steps: usize) {
     }
 }
 
-fn doctor(session: &Path) -> i32 {
-    let run = program().arg("doctor").arg(session).output().expect("wcal runs");
+fn check(session: &Path) -> i32 {
+    let run = program().arg("verify").arg(session).arg("--check").output().expect("wcal runs");
     run.status.code().unwrap_or(-1)
 }
 
@@ -213,7 +213,7 @@ fn kill_9_leaves_a_session_that_reduces_and_resumes() {
     let second = document(&resumed);
     assert_eq!(second["rows"], 36, "{second}");
     assert!(second["steps_done"].as_u64().expect("steps") < 38, "{second}");
-    assert_ne!(doctor(&bench.session()), 1);
+    assert_ne!(check(&bench.session()), 1);
 }
 
 #[test]
@@ -235,7 +235,7 @@ fn ctrl_c_stops_the_stage_and_leaves_a_session() {
     let address = address.unwrap_or_else(|| panic!("no address: {}", text(&run.stderr)));
     assert!(address.starts_with("127.0.0.1:") && !address.starts_with("127.0.0.1:0 "), "{address}");
     assert!(sweep["rows"].as_u64() > Some(0), "{sweep}");
-    assert_ne!(doctor(&bench.session()), 1);
+    assert_ne!(check(&bench.session()), 1);
 }
 
 #[test]
@@ -248,7 +248,7 @@ fn a_lost_connection_is_named_and_the_stage_is_said_to_be_unreached() {
     assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
     let sweep = document(&run);
     assert_eq!((&sweep["cause"]["kind"], &sweep["stage_stopped"]), (&"disconnected".into(), &false.into()));
-    assert_ne!(doctor(&bench.session()), 1);
+    assert_ne!(check(&bench.session()), 1);
     // Plugged in again it goes on; the reference was not lost.
     bench.type_fault("plug-stage");
     let resumed = bench.go("--resume");

@@ -10,7 +10,7 @@ const HEAD: &str = "# JSON documents\n\n\
     key may be absent, the table says so; units are in the names.\n";
 
 /// Files first, then what `--json` prints.
-const ORDER: [&str; 20] = [
+const ORDER: [&str; 21] = [
     "verify",
     "calibration",
     "fit-gpr",
@@ -27,6 +27,7 @@ const ORDER: [&str; 20] = [
     "track",
     "bench",
     "import",
+    "check",
     "predict",
     "path",
     "sweep",

@@ -20,7 +20,7 @@ pub struct CameraPair {
     last: Option<FramePair>,
     host_s: f64,
     /// Number of the second camera less that of the first for one trigger, once known.
-    offset: Option<i64>,
+    offset: Option<i128>,
 }
 
 /// Frames that one camera may be ahead of the other.
@@ -78,12 +78,12 @@ impl CameraPair {
         for _ in 0..AHEAD {
             self.host_s = a.clocks.host_s.max(b.clocks.host_s);
             let ahead = match self.offset {
-                Some(offset) => (a.trigger as i64 + offset) - b.trigger as i64,
+                Some(offset) => (i128::from(a.trigger) + offset) - i128::from(b.trigger),
                 None if skew_ms(&a, &b).abs() <= self.limit_ms => {
-                    self.offset = Some(b.trigger as i64 - a.trigger as i64);
+                    self.offset = Some(i128::from(b.trigger) - i128::from(a.trigger));
                     0
                 }
-                None => -skew_ms(&a, &b).signum() as i64,
+                None => -skew_ms(&a, &b).signum() as i128,
             };
             if ahead == 0 {
                 return self.judge(a, b);
@@ -217,6 +217,17 @@ mod tests {
             assert!((got.skew_ms - 0.5).abs() < 1e-6);
         }
         assert_eq!(pair.refused(), 0);
+    }
+
+    #[test]
+    fn numbers_as_large_as_a_camera_may_state_do_not_overflow() {
+        let ends = vec![(u64::MAX, 0.0), (0, 0.1), (u64::MAX, 0.2)];
+        let mut found = pair(ends.clone(), vec![(1, 0.0), (u64::MAX, 0.1), (3, 0.2)]);
+        assert!(found.grab(Duration::ZERO).is_ok(), "the first pair sets the count");
+        assert!(found.grab(Duration::ZERO).is_err(), "the second has no partner");
+        // Negative control: the same numbers of both cameras are pairs.
+        let mut same = pair(ends.clone(), ends);
+        (0..3).for_each(|_| assert!(same.grab(Duration::ZERO).is_ok()));
     }
 
     #[test]

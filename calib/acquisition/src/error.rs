@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 use wcal_core::device::DeviceError;
 use wcal_core::document::DocumentError;
+use wcal_core::text::brief;
 
 /// Errors of planning, recording or reducing.
 #[derive(Debug, Error)]
@@ -19,7 +20,7 @@ pub enum AcquisitionError {
         found: String,
     },
     /// A file could not be read or written.
-    #[error("{action} {path}: {source}")]
+    #[error("{action} {}: {source}", brief(&path.display().to_string()))]
     Io {
         /// What was being done.
         action: &'static str,
@@ -45,7 +46,7 @@ impl From<wcal_core::files::FileError> for AcquisitionError {
 impl AcquisitionError {
     /// An input error.
     pub fn input(place: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self::Input { place: place.into(), expected: expected.into(), found: found.into() }
+        Self::Input { place: place.into(), expected: brief(&expected.into()), found: brief(&found.into()) }
     }
 
     /// The error of a document: a key by its name, anything else as the wrong kind of file.

@@ -35,7 +35,6 @@ mod stage_track;
 mod steps;
 pub mod sweep;
 pub mod tables;
-pub mod tracks;
 pub mod whisker_reader;
 pub mod windows;
 

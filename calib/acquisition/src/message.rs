@@ -7,6 +7,7 @@ use prost::Message as _;
 use prost_types::field_descriptor_proto::{Label, Type};
 use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet};
 use wcal_core::device::{Clocks, FbgReading, InterrogatorHealth, StageReading};
+use wcal_core::ranges::{OutOfRange, Range};
 
 /// Topics of a recording.
 pub mod topic {
@@ -32,6 +33,50 @@ pub mod topic {
 /// Time as a recording has it.
 pub(crate) fn nanoseconds(seconds: f64) -> u64 {
     (seconds.max(0.0) * 1e9) as u64
+}
+
+/// Numbers that the fields of a message may have. A time in seconds still tells microseconds apart, and whole numbers are exact as floats.
+mod range {
+    use wcal_core::ranges::Range;
+
+    pub(super) const HOST_S: Range = Range::real("host_s", -1e10, 1e10);
+    pub(super) const DEVICE_S: Range = Range::real("device_s", -1e10, 1e10);
+    pub(super) const SERIAL: Range = Range::whole("serial", 0.0, 9e15);
+    pub(super) const CHANNELS: Range = Range::whole("channels", 0.0, 1024.0);
+    pub(super) const PEAKS: Range = Range::whole("peaks_per_channel", 0.0, 65_536.0);
+    pub(super) const PEAKS_NM: Range = Range::real("peaks_nm", -1e6, 1e6);
+    pub(super) const HEALTH: Range = Range::whole("health", 0.0, 63.0);
+    pub(super) const ERROR_CODE: Range = Range::whole("error_code", 0.0, 255.0);
+    pub(super) const BUFFER_PERCENT: Range = Range::whole("buffer_percent", 0.0, 255.0);
+    pub(super) const COMMANDED_MM: Range = Range::real("commanded_mm", -1e6, 1e6);
+    pub(super) const MEASURED_MM: Range = Range::real("measured_mm", -1e6, 1e6);
+    pub(super) const STEP: Range = Range::whole("step", 0.0, 1e8);
+    pub(super) const TRAJECTORY: Range = Range::whole("trajectory", 0.0, 4e9);
+    pub(super) const REPLICATE: Range = Range::whole("replicate", 0.0, 1e8);
+    pub(super) const TARGET_MM: Range = Range::real("target_mm", -1e6, 1e6);
+    pub(super) const DIRECTION: Range = Range::whole("direction", -1.0, 1.0);
+    pub(super) const SPEED_MM_S: Range = Range::real("speed_mm_s", 0.0, 1e6);
+    pub(super) const BEGIN_S: Range = Range::real("begin_s", -1e10, 1e10);
+    pub(super) const END_S: Range = Range::real("end_s", -1e10, 1e10);
+    pub(super) const ARRIVED_S: Range = Range::real("arrived_s", -1e10, 1e10);
+    pub(super) const ROWS_HZ: Range = Range::real("rows_hz", 0.0, 1e5);
+    pub(super) const TRIGGER: Range = Range::whole("trigger", 0.0, 9e15);
+    pub(super) const EXPOSURE_S: Range = Range::real("exposure_s", 0.0, 1e4);
+    pub(super) const BOARD: Range = Range::whole("board", 0.0, 1e8);
+    pub(super) const TIMESTAMP_S: Range = Range::real("timestamp", -1e10, 1e10);
+}
+
+/// Judges numbers by the ranges of their fields.
+fn judge<const N: usize>(numbers: [(Range, f64); N]) -> Result<(), OutOfRange> {
+    numbers.iter().try_for_each(|(range, value)| range.judge_own(*value))
+}
+
+/// Judges the time stamp of a picture, s.
+///
+/// # Errors
+/// Where no clock can have it.
+pub(crate) fn judge_timestamp(at_s: f64) -> Result<(), OutOfRange> {
+    range::TIMESTAMP_S.judge_own(at_s)
 }
 
 /// A message with its schema.
@@ -67,6 +112,15 @@ pub trait McapMessage: prost::Message + Default {
     }
 }
 
+/// A message that is read back: its numbers are judged before anything is made of them.
+pub trait RecordedMessage: McapMessage {
+    /// Holds every number against what its field may have.
+    ///
+    /// # Errors
+    /// The first number out of its range.
+    fn check(&self) -> Result<(), OutOfRange>;
+}
+
 /// One scan.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct Scan {
@@ -94,6 +148,24 @@ pub struct Scan {
     /// Buffer, percent.
     #[prost(uint32, tag = "8")]
     pub buffer_percent: u32,
+}
+
+impl RecordedMessage for Scan {
+    fn check(&self) -> Result<(), OutOfRange> {
+        judge([
+            (range::SERIAL, self.serial as f64),
+            (range::HOST_S, self.host_s),
+            (range::DEVICE_S, self.device_s),
+            (range::CHANNELS, self.peaks_per_channel.len() as f64),
+            (range::HEALTH, f64::from(self.health)),
+            (range::ERROR_CODE, f64::from(self.error_code)),
+            (range::BUFFER_PERCENT, f64::from(self.buffer_percent)),
+        ])?;
+        self.peaks_per_channel.iter().try_for_each(|n| range::PEAKS.judge_own(f64::from(*n)))?;
+        // NaN is what a unit sends in place of a peak that it does not have.
+        let peaks = self.peaks_nm.iter().filter(|nm| !nm.is_nan());
+        peaks.copied().try_for_each(|nm| range::PEAKS_NM.judge_own(nm))
+    }
 }
 
 impl McapMessage for Scan {
@@ -176,6 +248,16 @@ pub struct StagePosition {
     pub flags: Vec<String>,
 }
 
+impl RecordedMessage for StagePosition {
+    fn check(&self) -> Result<(), OutOfRange> {
+        judge([
+            (range::HOST_S, self.host_s),
+            (range::COMMANDED_MM, self.commanded_mm.unwrap_or(0.0)),
+            (range::MEASURED_MM, self.measured_mm),
+        ])
+    }
+}
+
 impl McapMessage for StagePosition {
     const NAME: &'static str = "wcal.StagePosition";
     const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
@@ -249,6 +331,23 @@ pub struct SweepEvent {
     pub sealed: bool,
 }
 
+impl RecordedMessage for SweepEvent {
+    fn check(&self) -> Result<(), OutOfRange> {
+        judge([
+            (range::STEP, f64::from(self.step)),
+            (range::TRAJECTORY, f64::from(self.trajectory)),
+            (range::REPLICATE, f64::from(self.replicate)),
+            (range::TARGET_MM, self.target_mm),
+            (range::DIRECTION, f64::from(self.direction)),
+            (range::SPEED_MM_S, self.speed_mm_s),
+            (range::BEGIN_S, self.begin_s),
+            (range::END_S, self.end_s),
+            (range::ARRIVED_S, self.arrived_s),
+            (range::ROWS_HZ, self.rows_hz),
+        ])
+    }
+}
+
 impl McapMessage for SweepEvent {
     const NAME: &'static str = "wcal.SweepEvent";
     const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
@@ -296,6 +395,19 @@ pub struct FrameInfo {
     pub board: Option<u32>,
 }
 
+impl RecordedMessage for FrameInfo {
+    fn check(&self) -> Result<(), OutOfRange> {
+        judge([
+            (range::TRIGGER, self.trigger as f64),
+            (range::HOST_S, self.host_s),
+            (range::DEVICE_S, self.device_s.unwrap_or(0.0)),
+            (range::EXPOSURE_S, self.exposure_s.unwrap_or(0.0)),
+            (range::STEP, f64::from(self.step.unwrap_or(0))),
+            (range::BOARD, f64::from(self.board.unwrap_or(0))),
+        ])
+    }
+}
+
 impl McapMessage for FrameInfo {
     const NAME: &'static str = "wcal.FrameInfo";
     const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
@@ -325,6 +437,54 @@ mod tests {
         let again = Scan::decode(&*scan.encode_to_vec()).unwrap().reading();
         assert_eq!(again, reading);
         assert!(Scan::decode(&b"\xff\xff\xff"[..]).is_err());
+    }
+
+    /// Bytes of a message with this one field, as protobuf encodes it.
+    fn alone(number: i32, kind: Type, value: f64) -> Vec<u8> {
+        use prost::encoding::{double, sint32, uint32, uint64};
+        let (tag, mut bytes) = (number as u32, Vec::new());
+        match kind {
+            Type::Double => double::encode(tag, &value, &mut bytes),
+            Type::Uint32 => uint32::encode(tag, &(value as u32), &mut bytes),
+            Type::Uint64 => uint64::encode(tag, &(value as u64), &mut bytes),
+            Type::Sint32 => sint32::encode(tag, &(value as i32), &mut bytes),
+            other => panic!("{other:?} is no number"),
+        }
+        bytes
+    }
+
+    /// Fields that hold a number, each alone in a message with `value`: those that are taken.
+    fn taken<M: RecordedMessage>(value: f64) -> Vec<&'static str> {
+        let numbers = M::FIELDS.iter().filter(|(_, _, kind, _)| !matches!(kind, Type::String | Type::Bool));
+        let taken = numbers.filter(|(_, number, kind, _)| {
+            M::decode(&*alone(*number, *kind, value)).unwrap().check().is_ok()
+        });
+        taken.map(|field| field.0).collect()
+    }
+
+    #[test]
+    fn every_number_of_every_message_has_a_range() {
+        for value in [1e300, f64::INFINITY] {
+            let all = [taken::<Scan>(value), taken::<StagePosition>(value), taken::<SweepEvent>(value)];
+            let none: [&str; 0] = [];
+            assert_eq!(all.concat(), none, "{value}");
+            assert_eq!(taken::<FrameInfo>(value), none, "{value}");
+        }
+        for value in [-1e300, f64::NEG_INFINITY, f64::NAN] {
+            // What has no sign and no NaN holds 0 then; NaN in place of a peak is the unit's.
+            let doubles = |fields: Vec<&'static str>| -> Vec<&str> {
+                fields
+                    .into_iter()
+                    .filter(|f| f.ends_with("_s") || f.ends_with("mm") || f.ends_with("hz"))
+                    .collect()
+            };
+            let all = [taken::<Scan>(value), taken::<StagePosition>(value), taken::<SweepEvent>(value)];
+            let none: [&str; 0] = [];
+            assert_eq!(doubles(all.concat()), none, "{value}");
+            assert_eq!(doubles(taken::<FrameInfo>(value)), none, "{value}");
+        }
+        assert_eq!(taken::<SweepEvent>(1.0).len(), 10, "negative control: numbers of a bench are taken");
+        assert_eq!(taken::<Scan>(1.0).len(), 8, "negative control");
     }
 
     #[test]

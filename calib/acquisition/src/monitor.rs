@@ -97,7 +97,7 @@ impl Monitor {
             && reading.serial > expected
         {
             self.counts.gaps += 1;
-            self.counts.lost += reading.serial - expected;
+            self.counts.lost = self.counts.lost.saturating_add(reading.serial - expected);
         }
         self.next_serial = Some(reading.serial.saturating_add(1));
         let device_s = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);

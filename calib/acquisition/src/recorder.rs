@@ -114,14 +114,6 @@ impl Recorder {
         Ok(recorder)
     }
 
-    /// A recorder without a file, for a live view only.
-    ///
-    /// # Errors
-    /// When the channels cannot be made.
-    pub fn without_file() -> Result<Self, AcquisitionError> {
-        Self::on(Context::new(), None, Path::new(""))
-    }
-
     fn on(
         context: Arc<Context>,
         file: Option<(McapWriterHandle<BufWriter<File>>, File)>,
@@ -142,10 +134,6 @@ impl Recorder {
             path: path.to_owned(),
             failed: OnceLock::new(),
         })
-    }
-
-    pub(crate) fn context(&self) -> &Arc<Context> {
-        &self.context
     }
 
     /// Shows everything that is recorded from now on to Foxglove clients at `address` (port 0: one of the system's choice). A client

@@ -25,8 +25,9 @@ const MOVING_WINDOW_S: f64 = 0.02;
 const MAX_MISSING: f64 = 0.1;
 /// A clock that is off by more than this from one recording to the next was set, s.
 const CLOCK_SET_S: f64 = 1.0;
-/// Rows of one move; a move that states more is a damaged one.
-const MAX_MOVING_ROWS: f64 = 1e6;
+/// Windows and moves that are looked at for a scan, on average over a recording: it lies in one, in two where a clock was set back, and a sweep
+/// has two moves that compare the clocks. More are events that no sweep made, and would take memory and time without end.
+const MAX_WINDOWS_PER_SCAN: u64 = 16;
 
 /// Recordings of a session in order: `recording.mcap`, `recording-2.mcap`, ...
 #[must_use]
@@ -172,6 +173,7 @@ fn reduce_part(
     result: &mut Reduction,
 ) -> Result<PartClocks, AcquisitionError> {
     // First pass: events, stage positions, clocks.
+    let scans_before = result.scans;
     let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::new(rig.clock_scale));
     let (mut next_serial, mut pictures, mut frames) = (None::<u64>, 0, 0);
     let mut cameras: BTreeMap<String, ClockPair> = BTreeMap::new();
@@ -219,7 +221,13 @@ fn reduce_part(
     let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else { return Ok(PartClocks::default()) };
     let origin_s = origin_s + add_clock(result, fit, rig.clock_scale);
     let track = Track::new(&stage, &fit, rig.stage.zero_mm);
-    let mut windows = windows_of(&events);
+    let foreign = |found: String| {
+        let place = format!("{}: {}", path.display(), crate::message::topic::EVENT);
+        let expected = "events of one sweep, whose windows hold a scan once";
+        AcquisitionError::input(place, expected, found)
+    };
+    let scans = result.scans - scans_before;
+    let mut windows = windows_of(&events, scans).map_err(&foreign)?;
     windows.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
     // Second pass: samples into their windows.
     let map = ChannelMap::new(rig);
@@ -228,9 +236,14 @@ fn reduce_part(
     // The stage's position is known by host time: without aligned clocks no row can be assigned one.
     let unaligned = clocks.is_unaligned();
     let (mut last, mut lost) = (None::<(u64, f64)>, Vec::new());
-    let mut count = 0;
+    let (mut count, mut visits) = (0, 0);
+    let most_visits = MAX_WINDOWS_PER_SCAN.saturating_mul(scans);
     read(path, |message| {
         let Message::Scan(scan) = message else { return };
+        if visits > most_visits {
+            return;
+        }
+        visits += syncs.len() as u64;
         let t_s = scan.device_s;
         let unclocked = sound.broken.is_some_and(|(first, _)| count >= first);
         count += 1;
@@ -253,8 +266,12 @@ fn reduce_part(
         }
         // A window that was over before the clock's fault has no scans from after it, whatever time they state.
         let after_fault = sound.broken.filter(|_| unclocked).map(|(_, events)| events);
-        take_sample(&mut windows, &scan, &map.assign(&scan.reading()), late || unclocked, after_fault);
+        visits +=
+            take_sample(&mut windows, &scan, &map.assign(&scan.reading()), late || unclocked, after_fault);
     })?;
+    if visits > most_visits {
+        return Err(foreign(format!("more than {MAX_WINDOWS_PER_SCAN} for a scan")));
+    }
     for signal in &sync_signals {
         result.lag_s.extend(lag::estimate_s(signal, |t_s| track.at(t_s).map(|p| p.0)));
     }
@@ -273,17 +290,19 @@ fn add_clock(result: &mut Reduction, fit: ClockFit, clock_scale: f64) -> f64 {
 }
 
 /// A scan into the windows that it lies in; windows on the fly may touch each other, and none is longer than a settled one. `after_fault`: events
-/// before a fault of the clock after which the scan came.
+/// before a fault of the clock after which the scan came. Returns how many windows were looked at.
 fn take_sample(
     windows: &mut [Window],
     scan: &Scan,
     assigned: &Assigned,
     late: bool,
     after_fault: Option<usize>,
-) {
+) -> u64 {
+    let mut visits = 0;
     let t_s = scan.device_s;
     let from = windows.partition_point(|w| w.end_s < t_s);
     for window in windows[from..].iter_mut().take_while(|w| w.begin_s <= t_s) {
+        visits += 1;
         if t_s > window.end_s || after_fault.is_some_and(|events| window.event < events) {
             continue;
         }
@@ -299,6 +318,7 @@ fn take_sample(
             None => window.samples.unusable += 1,
         }
     }
+    visits
 }
 
 /// Rows of the windows, in the order of the work, which a clock that was set does not change.
@@ -348,38 +368,42 @@ fn missing_share(window: &Window, lost: &[[f64; 2]]) -> f64 {
     missing_s / (window.end_s - window.begin_s)
 }
 
-fn windows_of(events: &[SweepEvent]) -> Vec<Window> {
+/// Windows of the readings that events state; of a recording with so many scans.
+///
+/// # Errors
+/// A move that states more rows than the recording has scans: two make a row.
+fn windows_of(events: &[SweepEvent], scans: u64) -> Result<Vec<Window>, String> {
     let mut windows = Vec::new();
+    let mut moving_rows = 0;
     for (index, event) in events.iter().enumerate() {
+        let mut add = |begin_s: f64, end_s: f64| {
+            let samples = Samples::default();
+            windows.push(Window { begin_s, end_s, event: index, samples, late: false });
+        };
         match event.kind.as_str() {
-            "window" => windows.push(Window {
-                begin_s: event.begin_s,
-                end_s: event.end_s,
-                event: index,
-                samples: Samples::default(),
-                late: false,
-            }),
-            "moving"
-                if event.rows_hz > 0.0
-                    && (event.end_s - event.begin_s) * event.rows_hz <= MAX_MOVING_ROWS =>
-            {
+            "window" => add(event.begin_s, event.end_s),
+            "moving" if event.rows_hz > 0.0 => {
                 let half_s = MOVING_WINDOW_S.min(1.0 / event.rows_hz) / 2.0;
+                let rows = ((event.end_s - event.begin_s).max(0.0) * event.rows_hz) as u64 + 1;
+                moving_rows += rows;
+                if moving_rows > scans {
+                    return Err(format!(
+                        "{moving_rows} rows on the fly of {scans} scans (step {})",
+                        event.step
+                    ));
+                }
                 let mut centre_s = event.begin_s + half_s;
-                while centre_s + half_s <= event.end_s {
-                    windows.push(Window {
-                        begin_s: centre_s - half_s,
-                        end_s: centre_s + half_s,
-                        event: index,
-                        samples: Samples::default(),
-                        late: false,
-                    });
+                for _ in 0..rows {
+                    if centre_s + half_s <= event.end_s {
+                        add(centre_s - half_s, centre_s + half_s);
+                    }
                     centre_s += 1.0 / event.rows_hz;
                 }
             }
             _ => {}
         }
     }
-    windows
+    Ok(windows)
 }
 
 fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_s: f64) -> Option<Row> {

@@ -1,7 +1,7 @@
 //! Reads recordings back, whole or cut off by a crash, without loading the file into memory.
 
 use crate::error::AcquisitionError;
-use crate::message::{FrameInfo, Scan, StagePosition, SweepEvent, topic};
+use crate::message::{FrameInfo, RecordedMessage, Scan, StagePosition, SweepEvent, judge_timestamp, topic};
 use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use prost::Message as _;
@@ -9,6 +9,8 @@ use std::collections::HashMap;
 use std::fmt;
 use std::io::Read;
 use std::path::Path;
+use wcal_core::ranges::OutOfRange;
+use wcal_core::text::brief;
 
 /// One message of a recording.
 #[derive(Debug, Clone, PartialEq)]
@@ -226,29 +228,59 @@ fn begins_like_mcap(path: &Path) -> Result<bool, AcquisitionError> {
     Ok(mcap::MAGIC.starts_with(&start))
 }
 
+/// Why a message is none: its bytes, or a number in it.
+enum BadMessage {
+    Bytes(prost::DecodeError),
+    Number(OutOfRange),
+}
+
+impl From<prost::DecodeError> for BadMessage {
+    fn from(error: prost::DecodeError) -> Self {
+        Self::Bytes(error)
+    }
+}
+
+impl From<OutOfRange> for BadMessage {
+    fn from(error: OutOfRange) -> Self {
+        Self::Number(error)
+    }
+}
+
+/// A message whose numbers are in their ranges.
+fn checked<M: RecordedMessage>(bytes: &[u8]) -> Result<M, BadMessage> {
+    let message = M::decode(bytes)?;
+    message.check()?;
+    Ok(message)
+}
+
 fn decode(path: &Path, topic: &str, log_time: u64, bytes: &[u8]) -> Result<Message, AcquisitionError> {
-    let bad = |e: prost::DecodeError| {
-        AcquisitionError::input(
-            format!("{}: {topic}", path.display()),
-            "a message of its schema",
-            e.to_string(),
-        )
+    let bad = |e: BadMessage| {
+        let place = format!("{}: {}", path.display(), brief(topic));
+        match e {
+            BadMessage::Bytes(e) => AcquisitionError::input(place, "a message of its schema", e.to_string()),
+            BadMessage::Number(e) => {
+                AcquisitionError::input(format!("{place}: {}", e.key), e.expected, e.found)
+            }
+        }
     };
     Ok(match topic {
-        topic::SCAN => Message::Scan(Scan::decode(bytes).map_err(bad)?),
-        topic::STAGE => Message::Stage(StagePosition::decode(bytes).map_err(bad)?),
-        topic::EVENT => Message::Event(SweepEvent::decode(bytes).map_err(bad)?),
-        topic::FRAME => Message::Frame(FrameInfo::decode(bytes).map_err(bad)?),
+        topic::SCAN => Message::Scan(checked(bytes).map_err(bad)?),
+        topic::STAGE => Message::Stage(checked(bytes).map_err(bad)?),
+        topic::EVENT => Message::Event(checked(bytes).map_err(bad)?),
+        topic::FRAME => Message::Frame(checked(bytes).map_err(bad)?),
         other => {
             let host_s = log_time as f64 * 1e-9;
             if let Some(name) = other.strip_prefix(topic::POSE_PICTURE) {
-                let picture = CompressedPicture::decode(bytes).map_err(bad)?;
+                let picture = CompressedPicture::decode(bytes).map_err(|e| bad(e.into()))?;
                 return Ok(Message::PosePicture(name.to_owned(), log_time, picture.data));
             }
             match other.strip_prefix(topic::CAMERA) {
                 Some(name) => {
-                    let at = PictureTime::decode(bytes).map_err(bad)?.timestamp.unwrap_or_default();
-                    Message::Picture(name.to_owned(), host_s, at.seconds as f64 + f64::from(at.nanos) * 1e-9)
+                    let at =
+                        PictureTime::decode(bytes).map_err(|e| bad(e.into()))?.timestamp.unwrap_or_default();
+                    let at_s = at.seconds as f64 + f64::from(at.nanos) * 1e-9;
+                    judge_timestamp(at_s).map_err(|e| bad(e.into()))?;
+                    Message::Picture(name.to_owned(), host_s, at_s)
                 }
                 None => Message::Other(other.to_owned(), host_s),
             }

@@ -7,6 +7,7 @@ use wcal_core::document::from_toml;
 use wcal_core::observation::WHISKER_RANGES;
 pub use wcal_core::rig_devices::RIG_FORMAT;
 use wcal_core::rig_devices::{CameraRig, GratingRig, InterrogatorRig, MountRig, RIG_RANGES, StageRig};
+use wcal_session::SessionError;
 
 /// A rig; keys of other programs (tags, groove, camera calibration) are kept, not read.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -97,6 +98,16 @@ impl Rig {
         let fail = |field: &str, expected: &str, found: String| {
             Err(AcquisitionError::input(format!("{place}: {field}"), expected, found))
         };
+        // What the session takes over has to be what a session can be read with, before the sweep and not after it.
+        wcal_session::check_wire(place, &rig.whisker, rig.moments.as_ref(), &rig.fbg).map_err(
+            |e| match e {
+                SessionError::Content(e) => {
+                    let field = e.field.as_deref().unwrap_or("whisker");
+                    AcquisitionError::input(format!("{place}: {field}"), &e.expected, &e.found)
+                }
+                other => AcquisitionError::input(place, "the tables of a whisker", other.to_string()),
+            },
+        )?;
         let s = &rig.stage;
         let [low, high] = s.soft_limits_mm;
         if !(low >= 0.0 && low < high && high <= s.travel_mm + 1e-6) {
@@ -299,6 +310,10 @@ shear_gpa = 28.2
             ("\"fbg_2\"", "\"fbg_9\"", "grating"),
             ("channel = 1, nominal_nm = 1537.3", "channel = 0, nominal_nm = 1537.3", "grating"),
             ("direction = [0, 0, 1]", "direction = [0, 0, 0]", "direction"),
+            ("length_mm = 60.0", "length_mm = \"x\"", "whisker.length_mm"),
+            ("length_mm = 60.0", "", "whisker.length_mm"),
+            ("[whisker]", "[moments]\nsign = 3\n[whisker]", "moments.sign"),
+            ("[whisker]", "[fbg]\ntemperature_pm_per_degc = \"x\"\n[whisker]", "fbg.temperature"),
             ("retract_mm = -2", "retrct_mm = -2", "rig file"),
             ("window_nm = 1.5 }", "window_nm = 1.5, whisker = \"b\" }", "no fbg_1"),
             (

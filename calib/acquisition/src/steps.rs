@@ -98,10 +98,10 @@ impl Sweep<'_, '_, '_> {
     /// Reference, stream, a safe place before the first move toward the wire, and there the mount.
     pub(crate) fn prepare(&mut self, allowed: Permission) -> Result<(), DeviceError> {
         self.reference(allowed)?;
-        let start = Instant::now();
+        let first_scan = Deadline::whatever_happens(SILENCE * 2);
         while lock(self.bench.monitor).device_s().is_none() {
             self.tick(POLL_STANDING)?;
-            if start.elapsed() > SILENCE * 2 {
+            if first_scan.is_over() {
                 let kind = DeviceErrorKind::Timeout;
                 return Err(DeviceError::new(kind, "interrogator", "wait for scans", "scans", "silence"));
             }

@@ -9,8 +9,10 @@ pub use crate::steps::{Progress, Reopen, SweepBench};
 use std::collections::BTreeSet;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use wcal_core::deadline::Deadline;
 use wcal_core::device::{DeviceError, DeviceErrorKind, Interrogator, Permission, StageReading};
+use wcal_core::standstill::blame;
 
 /// Pause of those who record until the sweep has heard of an interrupt.
 pub(crate) const INTERRUPTED: Duration = Duration::from_millis(10);
@@ -122,7 +124,8 @@ fn stream(
     recorder: &Recorder,
     done: &AtomicBool,
 ) -> Result<(), DeviceError> {
-    let mut heard = Instant::now();
+    // From scan to scan; time in which this program itself stood still is not the unit's.
+    let mut heard = Deadline::whatever_happens(SILENCE);
     while !done.load(Ordering::SeqCst) {
         let readings = match interrogator.read(Duration::from_millis(100)) {
             Ok(readings) => readings,
@@ -131,13 +134,13 @@ fn stream(
                 std::thread::sleep(INTERRUPTED);
                 continue;
             }
-            Err(e) => return Err(e),
+            Err(e) => return Err(blame(e)),
         };
         if !readings.is_empty() {
-            heard = Instant::now();
-        } else if heard.elapsed() > SILENCE {
+            heard = Deadline::whatever_happens(SILENCE);
+        } else if heard.is_over() {
             let (kind, found) = (DeviceErrorKind::Timeout, format!("silence for {} s", SILENCE.as_secs()));
-            return Err(DeviceError::new(kind, "interrogator", "read the stream", "scans", found));
+            return Err(blame(DeviceError::new(kind, "interrogator", "read the stream", "scans", found)));
         }
         for reading in &readings {
             recorder.scan(reading).map_err(|e| disk(&e))?;

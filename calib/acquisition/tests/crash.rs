@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use wcal_acquisition::message::Scan;
 use wcal_acquisition::recorder::Recorder;
 use wcal_acquisition::replay::{End, Message, read};
+use wcal_core::deadline::Deadline;
 use wcal_core::device::{Clocks, FbgReading};
 
 const RATE_HZ: f64 = 2000.0;
@@ -209,4 +210,54 @@ fn corrupt_lengths_neither_abort_nor_hide_what_is_readable() {
     }
     // Control: unchanged it is whole.
     assert_eq!(read(&|_| {}).1, End::default());
+}
+
+/// Not a test of its own: the process that is stopped. It waits for what never comes, and says how long it did.
+#[test]
+#[ignore = "run by the test below"]
+fn child_that_waits() {
+    if std::env::var("WCAL_WAITS").is_err() {
+        return;
+    }
+    let deadline = Deadline::whatever_happens(Duration::from_secs(2));
+    let start = Instant::now();
+    println!("at begin");
+    std::io::stdout().flush().unwrap();
+    while !deadline.is_over() {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    println!("at {}", start.elapsed().as_secs_f64());
+}
+
+/// A program that was stopped did not wait for a device meanwhile: its wait has what was left of it when it goes on.
+#[test]
+fn a_wait_goes_on_where_the_program_was_stopped() {
+    let waited_s = |stopped: Option<Duration>| -> f64 {
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "child_that_waits", "--ignored", "--nocapture"])
+            .env("WCAL_WAITS", "1")
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
+        let mut said = lines.filter_map(|line| line.strip_prefix("at ").map(str::to_owned));
+        assert_eq!(said.next().as_deref(), Some("begin"));
+        if let Some(stopped) = stopped {
+            let signal = |name: &str| {
+                let id = child.id().to_string();
+                assert!(Command::new("kill").args([name, &id]).status().unwrap().success());
+            };
+            signal("-STOP");
+            std::thread::sleep(stopped);
+            signal("-CONT");
+        }
+        let waited_s = said.next().unwrap().parse().unwrap();
+        child.wait().unwrap();
+        waited_s
+    };
+    let stopped = waited_s(Some(Duration::from_secs(4)));
+    assert!(stopped > 5.5, "{stopped} s, of which 4 were no wait");
+    // Negative control: who is not stopped waits no longer than was allowed.
+    let plain = waited_s(None);
+    assert!((2.0..3.5).contains(&plain), "{plain} s");
 }

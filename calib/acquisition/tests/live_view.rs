@@ -5,7 +5,6 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 use wcal_acquisition::recorder::Recorder;
-use wcal_acquisition::tracks::TrackChannels;
 use wcal_core::device::{Clocks, FbgReading};
 
 fn handshake(address: SocketAddr, protocol: &str) -> TcpStream {
@@ -49,17 +48,5 @@ fn a_client_is_told_the_channels_of_the_recording() {
     drop(view);
     let clocks = Clocks { host_s: 1.0, device_s: Some(1.0) };
     recorder.scan(&FbgReading { serial: 1, clocks, ..FbgReading::default() }).unwrap();
-    recorder.finish().unwrap();
-}
-
-#[test]
-fn a_view_without_a_recording_shows_tracks_too() {
-    let recorder = Recorder::without_file().unwrap();
-    let _channels = TrackChannels::new(&recorder, &["left".to_owned()]).unwrap();
-    let view = recorder.serve("127.0.0.1:0".parse().unwrap()).unwrap();
-    let text = heard(&mut handshake(view.address(), "foxglove.sdk.v1"), "/track/pose/left");
-    assert!(text.contains("/track/pose/left"), "{text}");
-    // Control: a whisker that is not there has no channel.
-    assert!(!text.contains("/track/pose/right"), "{text}");
     recorder.finish().unwrap();
 }

@@ -7,6 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use wcal_core::calibration::CALIBRATION_FORMAT;
+use wcal_core::covariance;
 use wcal_core::format;
 use wcal_core::ranges::{self, Range};
 use wcal_core::verify_document::CalibrationContact;
@@ -144,14 +145,19 @@ pub fn read_unsealed(
 ) -> Result<(CalibrationFile<CalibrationModel>, Option<TrustIssue>), CalibrationError> {
     let refuse =
         |expected: &str, e: serde_json::Error| CalibrationError::content(path, format!("{expected}: {e}"));
-    let bytes = wcal_core::files::read(path)
+    let text = wcal_core::files::read_text(path)
         .map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
     let value: serde_json::Value =
-        serde_json::from_slice(&bytes).map_err(|e| refuse("expected a calibration in JSON", e))?;
+        serde_json::from_str(&text).map_err(|e| refuse("expected a calibration in JSON", e))?;
     // The format before anything else: another version may have other fields.
     format::expect(CALIBRATION_FORMAT, value.get("format").and_then(serde_json::Value::as_str))
         .map_err(|why| CalibrationError::content(path, why))?;
     ranges::check(&value, &[RANGES]).map_err(|e| CalibrationError::content(path, e))?;
+    // Of the models that state one; what else it has to be, the model says.
+    if let Ok(stated) = serde_json::from_value::<Vec<Vec<f64>>>(value["model"]["covariance"].clone()) {
+        let wrong = |why| CalibrationError::content(path, format!("model.covariance: {why}"));
+        covariance::check(&stated, stated.len()).map_err(wrong)?;
+    }
     let raw: CalibrationFile<serde_json::Value> =
         serde_json::from_value(value).map_err(|e| refuse("expected a calibration", e))?;
     let found = raw.compute_hash().map_err(|e| refuse("expected a calibration", e))?;
@@ -160,7 +166,7 @@ pub fn read_unsealed(
         content_sha256: found,
         stated_sha256: raw.content_sha256,
     });
-    let file: CalibrationFile<CalibrationModel> = serde_json::from_slice(&bytes)
+    let file: CalibrationFile<CalibrationModel> = serde_json::from_str(&text)
         .map_err(|e| refuse("expected a model of kind \"map\", \"physical\" or \"scalar\"", e))?;
     file.model.check().map_err(|e| CalibrationError::content(path, e))?;
     if let Some(whisker) = &file.whisker {

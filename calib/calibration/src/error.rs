@@ -2,6 +2,7 @@
 
 use crate::trust_issue::TrustIssue;
 use std::path::{Path, PathBuf};
+use wcal_core::text::brief;
 use wcal_session::{InputError, SessionError};
 
 /// What went wrong, and where.
@@ -59,6 +60,6 @@ impl CalibrationError {
 
     /// An error of a file's content.
     pub(crate) fn content(place: &Path, detail: impl ToString) -> Self {
-        Self::Content { place: place.display().to_string(), detail: detail.to_string() }
+        Self::Content { place: place.display().to_string(), detail: brief(&detail.to_string()) }
     }
 }

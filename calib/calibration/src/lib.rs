@@ -12,7 +12,6 @@ mod given;
 mod map;
 mod physical;
 mod scalar;
-mod trust;
 mod trust_issue;
 
 pub use apply::{
@@ -24,5 +23,4 @@ pub use artefact::{
 };
 pub use error::CalibrationError;
 pub use given::GivenCalibration;
-pub use trust::standing;
-pub use trust_issue::TrustIssue;
+pub use trust_issue::{TrustIssue, standing};

@@ -127,7 +127,7 @@ impl Calibration for ScalarModel {
                 self.stimulus_unit
             )
         });
-        Ok(AppliedTable { csv, rows: rows.len(), outside, warnings: Vec::new() })
+        Ok(AppliedTable { csv, rows: rows.len(), outside, warnings: table.warning().into_iter().collect() })
     }
 
     fn judged(

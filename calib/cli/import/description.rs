@@ -108,7 +108,8 @@ pub(super) fn provenance(sources: &[&TextTable]) -> Table {
 /// Takes the whisker's tables from another description, its rest shape with it.
 fn take_over(path: &Path, top: &mut Table, files: &mut Table, more: &mut Tables) -> anyhow::Result<()> {
     let text = wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
-    let meta: Table = text.parse().with_context(|| format!("{}: expected valid TOML", path.display()))?;
+    let meta = wcal_core::document::toml(&text)
+        .with_context(|| format!("{}: expected valid TOML", path.display()))?;
     for key in TAKEN_OVER {
         if let Some(value) = meta.get(*key) {
             top.insert((*key).to_owned(), value.clone());

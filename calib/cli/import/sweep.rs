@@ -1,6 +1,6 @@
 //! A sweep over an object becomes a session of kind "sweep": readings with the poses of the base, and the object where it is known.
 
-use super::{ImportArgs, ImportDocument, RESULT, description, layout};
+use super::{ImportArgs, ImportDocument, RESULT, description, layout, refuse_other_tables};
 use crate::output::OutputFolder;
 use crate::simulated::{is_simulated, word};
 use anyhow::{Context, bail, ensure};
@@ -35,7 +35,7 @@ struct Sweep<'a> {
 fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep<'_>> {
     let motion = args.motion.as_deref().context("--kind sweep: expected --motion LOG.csv, found none")?;
     let table = read_text_table(&args.file, &layout(args))?;
-    let logged = motion_table::read(motion, 0.0)?;
+    let logged = motion_table::read(motion)?;
     let taken = |name: &str| name.starts_with("fbg_") && name.ends_with("_nm") || name == "temperature_degc";
     let time = table.column("t_s")?;
     let (columns, others): (Vec<usize>, Vec<usize>) =
@@ -124,6 +124,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     top.insert("provenance".to_owned(), Value::Table(provenance));
 
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
+    refuse_other_tables(&out, &sweep.sources.iter().collect::<Vec<_>>(), sweep.points.as_bytes())?;
     out.put("points.csv", sweep.points);
     if let Some((mesh, _)) = &object {
         out.put(OBJECT, wcal_core::files::read(mesh).with_context(|| format!("reading {}", mesh.display()))?);
@@ -136,7 +137,8 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     if !sweep.left_out.is_empty() {
         eprintln!("columns not imported: {}", sweep.left_out.join(", "));
     }
-    let mut warnings = Vec::new();
+    let open_ends = sweep.sources.iter().filter_map(TextTable::warning);
+    let mut warnings: Vec<String> = open_ends.map(|w| w.to_string()).collect();
     if sweep.without_pose > 0 {
         warnings.push(format!(
             "the motion of {} of {} readings is not known: the log does not cover their times",

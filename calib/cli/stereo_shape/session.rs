@@ -78,7 +78,7 @@ fn session_id(folder: &Path) -> Result<String> {
     let text = wcal_core::files::read_text(&path).with_context(|| {
         format!("reading {}: expected a session folder, or two folders of pictures", path.display())
     })?;
-    let table: toml::Table = text.parse().with_context(|| path.display().to_string())?;
+    let table = wcal_core::document::toml(&text).with_context(|| path.display().to_string())?;
     let id = table.get("id").and_then(toml::Value::as_str).map(str::to_owned);
     id.with_context(|| format!("{}: expected an id, found none", path.display()))
 }

@@ -2,7 +2,7 @@
 
 use super::feed::{FeedInput, FeedItem};
 use super::recorded_motion::{recorded_motion, session_folder};
-use super::{TrackArgs, accuracy, output};
+use super::{ACCURACY, LAG_S, PREFIX_S, RATE_HZ, TrackArgs, output};
 use crate::interrupt;
 use crate::progress::Progress;
 use crate::simulated::is_simulated;
@@ -17,21 +17,22 @@ use std::time::{Duration, Instant};
 use wcal_acquisition::clock_watch::ClockFault;
 use wcal_acquisition::message::StagePosition;
 use wcal_acquisition::record::open_interrogator;
-use wcal_acquisition::recorder::{LiveView, Recorder};
+use wcal_acquisition::recorder::Recorder;
 use wcal_acquisition::replay::{Message, read};
 use wcal_acquisition::rig::Rig;
-use wcal_acquisition::tracks::TrackChannels;
 use wcal_contact::groove_table::known_places;
+use wcal_contact::known_motion_stream::MotionAccuracy;
 use wcal_contact::stream_track::{StreamFindings, StreamSettings, StreamTracks, lost_text};
 use wcal_contact::track_document::{TRACK_FORMAT, TrackDocument, TrackSource};
 use wcal_contact::track_table::TrackFiles;
 use wcal_contact::trust::WhiskerModel;
 use wcal_contact::whisker_track::Outcome;
 use wcal_core::clock::HostClock;
-use wcal_core::deadline::Interrupt;
+use wcal_core::deadline::{Deadline, Interrupt};
 use wcal_core::device::{DeviceError, DeviceErrorKind, FbgReading};
 use wcal_core::lock::FileLock;
 use wcal_core::rig_devices::DeviceOpener;
+use wcal_core::standstill::blame;
 use wcal_drivers::Drivers;
 
 /// A stream that is silent this long has failed.
@@ -40,82 +41,16 @@ const SILENCE: Duration = Duration::from_secs(2);
 const FLUSH: Duration = Duration::from_millis(500);
 /// Scans between two reports of progress.
 const SCANS_SHOWN: u64 = 1000;
+/// Largest number of false events per hour and whisker under noise as in the prefix.
+const FALSE_ALARMS_PER_HOUR: f64 = 1.0;
+/// Scans that may wait for the tracker; further ones are dropped, counted and flagged.
+const QUEUE: usize = 20_000;
 /// Time between questions to a stage that carries the base.
 const STAGE_POLL: Duration = Duration::from_millis(20);
-
-/// Where rows go beside the table.
-struct Sinks {
-    recorder: Option<Arc<Recorder>>,
-    channels: Option<TrackChannels>,
-    _view: Option<LiveView>,
-}
-
-impl Sinks {
-    fn open(
-        args: &TrackArgs,
-        rig_place: &str,
-        whiskers: &StreamTracks<'_>,
-        loaded: &[WhiskerModel<'_>],
-    ) -> Result<Self> {
-        let recorder = match (&args.mcap, args.live) {
-            (Some(path), _) => Some(Recorder::create(path, about(args, rig_place, whiskers, loaded))?),
-            (None, Some(_)) => Some(Recorder::without_file()?),
-            (None, None) => None,
-        };
-        let view = match (&recorder, args.live) {
-            (Some(recorder), Some(address)) => {
-                let view = recorder.serve(address)?;
-                eprintln!("live view at ws://{}", view.address());
-                Some(view)
-            }
-            _ => None,
-        };
-        let channels = recorder.as_ref().map(|r| TrackChannels::new(r, &whiskers.names())).transpose()?;
-        Ok(Self { recorder: recorder.map(Arc::new), channels, _view: view })
-    }
-
-    fn finish(self) -> Result<()> {
-        drop((self.channels, self._view));
-        match self.recorder.map(Arc::try_unwrap) {
-            Some(Ok(recorder)) => Ok(recorder.finish()?),
-            Some(Err(_)) => Err(anyhow!("recording: a thread still holds it")),
-            None => Ok(()),
-        }
-    }
-}
 
 /// Whether a calibration was made on simulated data.
 fn by_simulation(loaded: &[WhiskerModel<'_>]) -> bool {
     loaded.iter().any(|l| l.file.provenance.simulated)
-}
-
-/// Metadata of the recording.
-fn about(
-    args: &TrackArgs,
-    rig_place: &str,
-    whiskers: &StreamTracks<'_>,
-    loaded: &[WhiskerModel<'_>],
-) -> BTreeMap<String, String> {
-    let facts = whiskers.findings(None, 0).document;
-    let text = |value: serde_json::Result<String>| value.unwrap_or_default();
-    let mut all = BTreeMap::from([
-        ("format".to_owned(), TRACK_FORMAT.to_owned()),
-        ("program".to_owned(), format!("wcal {}", env!("CARGO_PKG_VERSION"))),
-        ("rig".to_owned(), rig_place.to_owned()),
-        ("lag_s".to_owned(), text(serde_json::to_string(&facts.lag_s))),
-        ("filter".to_owned(), text(serde_json::to_string(&facts.filter))),
-        ("rate_hz".to_owned(), args.rate_hz.to_string()),
-        ("calibration_simulated".to_owned(), by_simulation(loaded).to_string()),
-    ]);
-    for l in loaded {
-        let key = |what: &str| if l.name.is_empty() { what.to_owned() } else { format!("{what} {}", l.name) };
-        all.insert(key("calibration_sha256"), l.file.content_sha256.clone());
-        if let Some(network) = &l.network {
-            all.insert(key("model_sha256"), network.card.weights_sha256.clone());
-        }
-        all.insert(key("doubts"), l.doubts.codes());
-    }
-    all
 }
 
 /// Tracks recordings, one after the other.
@@ -130,16 +65,14 @@ pub fn replay(
     loaded: &[WhiskerModel<'_>],
 ) -> Result<ExitCode> {
     let log = recorded_motion(args, parts)?;
-    let mut whiskers = StreamTracks::new(settings(args), (place, rig), loaded, log)?;
+    let mut whiskers = StreamTracks::new(settings(args, rig), (place, rig), loaded, log)?;
     if let Some((table, whisker)) = session_folder(args).and_then(session_points) {
         whiskers.know_groove(&known_places(&table)?, whisker.as_deref());
     }
-    let sinks = Sinks::open(args, place, &whiskers, loaded)?;
     let mut files = output::create(&args.out, true)?;
     let mut cut_off = Vec::new();
-    let start = Instant::now();
     let progress = Progress::new("track");
-    let (mut first_host_s, mut ended) = (None, false);
+    let mut ended = false;
     for part in parts {
         let (mut failed, mut scans) = (None, 0_u64);
         whiskers.begin_recording();
@@ -156,13 +89,7 @@ pub fn replay(
                     if ended {
                         return;
                     }
-                    if args.real_time {
-                        let due_s = scan.host_s - *first_host_s.get_or_insert(scan.host_s);
-                        // A damaged time is no reason to wait.
-                        let due = Duration::try_from_secs_f64(due_s / rig.clock_scale).unwrap_or_default();
-                        std::thread::sleep(due.saturating_sub(start.elapsed()));
-                    }
-                    failed = whiskers.scan(&reading, false, &mut files, sinks.channels.as_ref()).err();
+                    failed = whiskers.scan(&reading, false, &mut files).err();
                     if scans.is_multiple_of(SCANS_SHOWN) {
                         let at_s = whiskers.elapsed_s(&reading);
                         let stage = format!("{at_s:.0} s of the stream tracked");
@@ -192,7 +119,7 @@ pub fn replay(
     drop(progress);
     let simulated = parts.iter().any(|part| is_simulated(part)) || by_simulation(loaded);
     let source = TrackSource::Recordings(parts.to_vec());
-    conclude(args, whiskers, sinks, files, (source, simulated), (0, Some(cut_off)))
+    conclude(args, whiskers, files, (source, simulated), (0, Some(cut_off)))
 }
 
 /// Tracks the rig's interrogator until Ctrl-C, the end of the time or a fault.
@@ -206,15 +133,17 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
             log.display()
         );
     }
-    let mut whiskers = StreamTracks::new(settings(args), (place, rig), loaded, None)?;
+    let mut whiskers = StreamTracks::new(settings(args, rig), (place, rig), loaded, None)?;
     let clock = HostClock::start(rig.clock_scale);
     let interrupt = interrupt::watch()?;
     let mut interrogator = open_interrogator(&mut Drivers::new(&interrupt), &rig.interrogator, clock)?;
     let identity = interrogator.identity()?;
-    let sinks = Sinks::open(args, place, &whiskers, loaded)?;
+    let about = || BTreeMap::from([("rig".to_owned(), place.to_owned())]);
+    let recorder =
+        args.mcap.as_ref().map(|path| Recorder::create(path, about()).map(Arc::new)).transpose()?;
     let mut files = output::create(&args.out, true)?;
     let done = AtomicBool::new(false);
-    let (intake, receiver) = FeedInput::new(args.queue, sinks.recorder.clone());
+    let (intake, receiver) = FeedInput::new(QUEUE, recorder.clone());
     let carried = rig.base.as_ref().is_some_and(|b| b.carried_along.is_some());
     let failed = std::thread::scope(|scope| {
         scope.spawn(|| acquire(interrogator.as_mut(), &intake, &done));
@@ -222,7 +151,7 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
             scope.spawn(|| watch_stage(rig, clock, &intake, &interrupt, &done));
         }
         let ends = || done.load(Ordering::SeqCst) || interrupt.signal().is_some();
-        let result = consume(args, &receiver, &mut whiskers, &mut files, sinks.channels.as_ref(), &ends);
+        let result = consume(args, &receiver, &mut whiskers, &mut files, &ends);
         done.store(true, Ordering::SeqCst);
         // Whoever waits for room must not wait for ever.
         drop(receiver);
@@ -230,6 +159,11 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
     });
     let dropped = intake.dropped();
     drop(intake);
+    match recorder.map(Arc::try_unwrap) {
+        Some(Ok(recorder)) => recorder.finish()?,
+        Some(Err(_)) => bail!("recording: a thread still holds it"),
+        None => {}
+    }
     let simulated = identity.is_virtual() || by_simulation(loaded);
     let source = format!("{} {} {}", identity.driver, identity.model, identity.serial);
     if let Some(signal) = interrupt.signal() {
@@ -240,7 +174,7 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
         );
     }
     let source = (TrackSource::Device(source), simulated);
-    let code = conclude(args, whiskers, sinks, files, source, (dropped, None))?;
+    let code = conclude(args, whiskers, files, source, (dropped, None))?;
     failed.map(|()| code)
 }
 
@@ -251,7 +185,8 @@ fn unrecorded(why: &impl std::fmt::Display) -> DeviceError {
 
 /// Reads the interrogator into the intake.
 fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &FeedInput, done: &AtomicBool) {
-    let mut on_pass = Instant::now();
+    // From scan to scan; time in which this program itself stood still is not the unit's.
+    let mut heard = Deadline::whatever_happens(SILENCE);
     if let Err(e) = interrogator.start() {
         return intake.fail(e);
     }
@@ -260,23 +195,18 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Feed
             Ok(readings) => readings,
             // The user wants an end, which the tracker hears of by itself.
             Err(e) if e.kind == DeviceErrorKind::Interrupted => break,
-            Err(e) => return intake.fail(e),
+            Err(e) => return intake.fail(blame(e)),
         };
         if readings.is_empty() {
-            if on_pass.elapsed() > SILENCE {
+            if heard.is_over() {
                 let found = format!("silence for {} s", SILENCE.as_secs());
                 let kind = DeviceErrorKind::Timeout;
-                return intake.fail(DeviceError::new(
-                    kind,
-                    "interrogator",
-                    "read the stream",
-                    "scans",
-                    found,
-                ));
+                let error = DeviceError::new(kind, "interrogator", "read the stream", "scans", found);
+                return intake.fail(blame(error));
             }
             continue;
         }
-        on_pass = Instant::now();
+        heard = Deadline::whatever_happens(SILENCE);
         match intake.scans(readings) {
             Ok(true) => {}
             Ok(false) => break,
@@ -327,7 +257,6 @@ fn consume(
     receiver: &Receiver<FeedItem>,
     whiskers: &mut StreamTracks<'_>,
     files: &mut TrackFiles,
-    channels: Option<&TrackChannels>,
     ends: &dyn Fn() -> bool,
 ) -> Result<()> {
     let mut flushed = Instant::now();
@@ -341,7 +270,7 @@ fn consume(
                     if over(args, whiskers, reading) {
                         return Ok(());
                     }
-                    whiskers.scan(reading, std::mem::take(&mut dropped) > 0, files, channels)?;
+                    whiskers.scan(reading, std::mem::take(&mut dropped) > 0, files)?;
                 }
             }
             Ok(FeedItem::Stage(position)) => whiskers.stage(&position),
@@ -361,7 +290,6 @@ fn consume(
 fn conclude(
     args: &TrackArgs,
     mut whiskers: StreamTracks<'_>,
-    sinks: Sinks,
     mut files: TrackFiles,
     (source, simulated): (TrackSource, bool),
     (dropped, cut_off): (u64, Option<Vec<String>>),
@@ -379,7 +307,7 @@ fn conclude(
     }
     for name in whiskers.unheard() {
         let whose = if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
-        eprintln!("warning: {whose}no quiet prefix of {} s: no events were detected", args.prefix_s);
+        eprintln!("warning: {whose}no quiet prefix of {} s: no events were detected", PREFIX_S);
     }
     let loss = lost_text(whiskers.lost(), dropped);
     if let Some(loss) = &loss {
@@ -401,24 +329,23 @@ fn conclude(
     if args.json {
         println!("{text}");
     }
-    sinks.finish()?;
     let lost = loss.is_some() || is_cut_off || !whiskers.clock_faults().is_empty();
     let outcome = outcome.and(Outcome { lost, ..Outcome::default() });
     Ok(ExitCode::from(outcome.exit_code(args.force)))
 }
 
 /// What the arguments say of a stream.
-fn settings(args: &TrackArgs) -> StreamSettings {
+fn settings(args: &TrackArgs, rig: &Rig) -> StreamSettings {
     StreamSettings {
-        rate_hz: args.rate_hz,
-        lag_s: args.lag_s,
-        prefix_s: args.prefix_s,
-        false_alarms_per_hour: args.false_alarms_per_hour,
+        rate_hz: RATE_HZ,
+        lag_s: LAG_S,
+        prefix_s: PREFIX_S,
+        false_alarms_per_hour: FALSE_ALARMS_PER_HOUR,
         tare_s: args.tare_s.unwrap_or(0.0),
         base_mm_s: args.base_mm_s,
         vouched: args.sweep,
-        accuracy: accuracy(args),
-        mcap: args.mcap.clone(),
+        // The delays of a host whose clock goes faster do so, too.
+        accuracy: MotionAccuracy { clock_sd_s: ACCURACY.clock_sd_s * rig.clock_scale, ..ACCURACY },
     }
 }
 

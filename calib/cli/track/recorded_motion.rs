@@ -19,7 +19,8 @@ pub fn session_folder(args: &TrackArgs) -> Option<&Path> {
 /// Where log or recording cannot be read, or their clocks have nothing in common.
 pub fn recorded_motion(args: &TrackArgs, parts: &[PathBuf]) -> Result<Option<MotionLog>> {
     let Some(file) = &args.motion else { return Ok(None) };
-    let LoggedMotion { log, .. } = read(file, args.motion_offset_s)?;
+    let LoggedMotion { log, warning, .. } = read(file)?;
+    warning.iter().for_each(|warning| eprintln!("warning: {warning}"));
     let mut span: Option<[f64; 2]> = None;
     for part in parts {
         replay::read(part, |message| {

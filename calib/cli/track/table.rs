@@ -1,7 +1,7 @@
 //! Tracks of a table or of a session, whatever locates the contacts.
 
-use super::object::{PassedObject, off_object, say_object_score};
-use super::{TrackArgs, accuracy, output};
+use super::object::{off_object, passed_object, say_object_score};
+use super::{ACCURACY, TrackArgs, output};
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
@@ -10,11 +10,9 @@ use wcal_contact::estimator::Estimator;
 use wcal_contact::known_groove::KnownGroove;
 use wcal_contact::known_motion_table::KnownMotionTable;
 use wcal_contact::motion_table::{LoggedMotion, has_motion, read};
-use wcal_contact::object_judgement::ObjectJudgement;
 use wcal_contact::reading::Reading;
 use wcal_contact::session_groove::{moment_field, session_readings, without_groove};
 use wcal_contact::static_arc::StaticArc;
-use wcal_contact::sweep_filter::SweepFilter;
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::TableSource;
 use wcal_contact::track_document::{
@@ -132,18 +130,14 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
             None,
         ));
     }
-    if args.moments_only {
-        let mut readings = source.past_object(args.base_mm_s)?;
-        let tare_s = zero_span_s(args, path, &mut readings, (has_misfit, zero_known))?;
-        return Ok(prepared(readings, Box::new(SweepFilter::new(&whisker)), (false, tare_s), None));
-    }
     if args.motion.is_none() && !has_motion(path)? {
         let mut readings = source.alone();
         let tare_s = zero_span_s(args, path, &mut readings, (has_misfit, zero_known))?;
         return Ok(prepared(readings, Box::new(StaticArc::new(&whisker)), (false, tare_s), None));
     }
     let file = args.motion.as_deref().unwrap_or(path);
-    let logged = read(file, args.motion_offset_s)?;
+    let logged = read(file)?;
+    logged.warning.iter().for_each(|warning| eprintln!("warning: {warning}"));
     if let Some(span_s) = source.span_s() {
         logged.log.check_clock(span_s).with_context(|| file.display().to_string())?;
     }
@@ -157,13 +151,12 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
     let field = moment_field(&source.wire, &axes)
         .with_changed(source.changed.iter().map(|w| moment_field(w, &axes)).collect());
     let mut readings = source.along(&logged, &(base_from_wire * field.free(0.5 * field.length_mm()).0));
-    // Who names the object that is passed says that the contact slides over it.
-    let in_session = path.parent().map(SweepSession::of).transpose()?.flatten().is_some();
-    let over_object = args.object.is_some() || in_session;
+    // A sweep passes an object: the contact slides over it.
+    let over_object = path.parent().map(SweepSession::of).transpose()?.flatten().is_some();
     // Readings of a sweep follow each other: what the poses of a calibration scatter by is no noise of theirs, but an error that they share.
     let tare_s = zero_span_s(args, path, &mut readings, (has_misfit || over_object, zero_known))?;
-    let estimator = KnownMotionTable::new(field, &whisker, accuracy(args), over_object);
-    Ok(prepared(readings, Box::new(estimator), (false, tare_s), Some(log_document(args, file, &logged))))
+    let estimator = KnownMotionTable::new(field, &whisker, ACCURACY, over_object);
+    Ok(prepared(readings, Box::new(estimator), (false, tare_s), Some(log_document(file, &logged))))
 }
 
 /// A zero that nobody knows.
@@ -206,11 +199,10 @@ fn zero_span_s(
     })
 }
 
-fn log_document(args: &TrackArgs, file: &Path, logged: &LoggedMotion) -> LogDocument {
+fn log_document(file: &Path, logged: &LoggedMotion) -> LogDocument {
     LogDocument {
         file: file.to_owned(),
         span_s: logged.log.span_s(),
-        offset_s: args.motion_offset_s,
         lost_rows: Default::default(),
         jump_lines: logged.log.jumps().collect(),
     }
@@ -237,12 +229,7 @@ pub fn track(
     let radius_mm = if on_axis { 0.5 * loaded.whisker().map_or(0.0, |w| w.diameter_mm) } else { 0.0 };
     let mut track = WhiskerTrack::new(facts, (of.frame, of.estimator), of.tare_s, of.followed);
     track.know_groove(of.groove);
-    let object = PassedObject::of(args, source)?;
-    let judgement = object.as_ref().map(|o| o.judge(loaded)).transpose()?.flatten();
-    let agrees = judgement.as_ref().is_none_or(ObjectJudgement::agrees);
-    if let Some(object) = &object {
-        track.know_object(object.known(radius_mm, agrees)?);
-    }
+    track.know_object(passed_object(source, radius_mm)?);
     let mut files = output::create(&args.out, false)?;
     let mut unusable = 0;
     for reading in of.readings {
@@ -262,8 +249,7 @@ pub fn track(
         log.lost_rows = lost;
     }
     let [rows, outside, flagged] = [whisker.rows, whisker.outside_valid_region, whisker.flagged_rows];
-    let contacts_mm = track.history().contacts_mm();
-    let on_object = object.as_ref().map(|o| o.score(contacts_mm, radius_mm)).transpose()?.flatten();
+    let on_object = track.object_score();
     let document = TrackDocument {
         format: TRACK_FORMAT,
         source: TrackSource::File(source.to_owned()),
@@ -275,7 +261,6 @@ pub fn track(
             unusable_rows: unusable,
             motion: log,
             object: on_object.clone(),
-            object_judgement: judgement.clone(),
             groove_tracking: of.groove_tracking,
             whisker,
         }),
@@ -298,10 +283,9 @@ pub fn track(
     }
     say_object_score(on_object.as_ref());
     found.messages.iter().for_each(|m| eprintln!("{}", m.line("")));
-    let mut against = judgement.as_ref().map_or_else(Vec::new, ObjectJudgement::messages);
-    against.extend(off_object(on_object.as_ref()));
+    let against = off_object(on_object.as_ref());
     against.iter().for_each(|said| eprintln!("warning: {said}"));
     let outcome =
-        found.outcome.and(Outcome { lost: unusable > 0, doubt: !against.is_empty(), ..Outcome::default() });
+        found.outcome.and(Outcome { lost: unusable > 0, doubt: against.is_some(), ..Outcome::default() });
     Ok(ExitCode::from(outcome.exit_code(args.force)))
 }

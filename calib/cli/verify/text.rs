@@ -105,15 +105,6 @@ pub fn print_text(report: &ReportInput, out: &Path) {
                 readable(error)
             );
         }
-        if let (Some(b), Some(a)) = (&b.loo, &a.loo) {
-            for (k, axis) in ["1", "2"].iter().enumerate() {
-                let [before, after] = [b, a].map(|m| readable(m.moment_rmse_nmm_each[k]));
-                println!(
-                    "    {:<32} {before:>10} {after:>10}",
-                    format!("{} map, loo, moment_{axis}_nmm", b.map)
-                );
-            }
-        }
     }
     let n = &v.noise_floor;
     for (floor, unit) in [(n.wavelength_pm, "pm"), (n.response, unit), (n.error_um, "um")] {
@@ -144,9 +135,6 @@ pub fn print_text(report: &ReportInput, out: &Path) {
                 d.distance_median_mm, d.distance_rmse_mm, e.p_value
             );
         }
-    }
-    for sentence in &v.identifiability {
-        println!("  {sentence}");
     }
     if let Some(c) = &v.calibration {
         let verdict = if c.holds { "holds" } else { "does NOT hold" };

@@ -24,9 +24,6 @@ pub enum ContactError {
     /// A stream that cannot be used.
     #[error(transparent)]
     Stream(#[from] wcal_acquisition::AcquisitionError),
-    /// There is no calibration, and why.
-    #[error("{0}")]
-    NoCalibration(String),
     /// In a file.
     #[error("{place}: {source}")]
     In {

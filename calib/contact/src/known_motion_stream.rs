@@ -8,8 +8,7 @@ use crate::ContactError;
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
 use crate::known_motion::contact_stream::FinishedEpisode;
 use crate::known_motion::{
-    ContactStream, CorrelatedNoise, Disagreement, EpisodeContact, MomentField, MotionRow, Region, Settings,
-    StreamedContact,
+    ContactStream, CorrelatedNoise, EpisodeContact, MomentField, MotionRow, Region, Settings, StreamedContact,
 };
 use crate::reading::{Moments, Reading, RowMotion};
 use crate::sliding::{SlidingStream, TouchedWire};
@@ -176,14 +175,9 @@ impl KnownMotionStream {
                 why.join(", ")
             )));
         }
-        let named = |e: &FinishedEpisode| {
-            Some((e.number, e.disagreement.map(Disagreement::sentence)?, e.innovations))
-        };
-        all.extend(self.episodes.iter().filter_map(named).map(|(number, said, i)| {
-            Message::warning(format!(
-                "contact {number}: {said} (chi2 {:.0} for {:.0} degrees of freedom); marked motion-disagrees in status",
-                i.plain, i.dof
-            ))
+        let said = |e: &FinishedEpisode| Some((e.number, e.innovations.sentence()?));
+        all.extend(self.episodes.iter().filter_map(said).map(|(number, said)| {
+            Message::warning(format!("contact {number}: {said}; marked motion-disagrees in status"))
         }));
         if self.episodes.is_empty() {
             all.push(Message::note(
@@ -225,7 +219,7 @@ impl Estimator for KnownMotionStream {
             contacts: Some(self.episodes.iter().map(ContactDocument::of_stream).collect()),
             ..EstimatorDocument::default()
         };
-        let doubt = self.disagreeing > 0 || lost || self.episodes.iter().any(|e| e.disagreement.is_some());
+        let doubt = self.disagreeing > 0 || lost || self.episodes.iter().any(|e| !e.innovations.consistent());
         let spans_s = Some(self.episodes.iter().map(|e| e.span_s).collect());
         Findings { document, messages: self.messages(), doubt, spans_s, ..Findings::default() }
     }

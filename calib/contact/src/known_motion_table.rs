@@ -7,7 +7,6 @@ use crate::known_motion::{
 };
 use crate::known_motion_stream::MotionAccuracy;
 use crate::reading::Reading;
-use crate::session_groove::disagreement_sentence;
 use crate::sliding::SlidingContact;
 use crate::sliding_episodes::sliding_contacts;
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
@@ -142,7 +141,7 @@ impl KnownMotionTable {
                     (&s.places[k], &s.regions[k], Flags::SLIDING_ASSUMED.with(Flags::MOTION_DISAGREES))
                 }
                 None => {
-                    let disagrees = contact.found.disagreement.is_some();
+                    let disagrees = contact.found.disagrees();
                     let flags = if disagrees { Flags::MOTION_DISAGREES } else { Flags::default() };
                     (&contact.found.places[k], &regions, flags)
                 }
@@ -194,7 +193,7 @@ impl KnownMotionTable {
         all.extend(fixed.filter_map(|(n, c)| {
             Some(format!(
                 "contact {n}: {}; marked motion-disagrees in status",
-                disagreement_sentence(&c.found)?
+                c.found.innovations.sentence()?
             ))
         }));
         if self.contacts.is_empty() {
@@ -274,7 +273,7 @@ impl Estimator for KnownMotionTable {
         };
         // A sweep over an object slides by its nature.
         let explained = |c: &TableContact| self.over_object && c.slides().is_some_and(SlidingContact::sure);
-        let doubt = self.contacts.iter().any(|c| c.found.disagreement.is_some() && !explained(c));
+        let doubt = self.contacts.iter().any(|c| c.found.disagrees() && !explained(c));
         let lost = !self.lost.is_empty();
         Findings { document, messages: self.messages(), lost, doubt, ..Findings::default() }
     }

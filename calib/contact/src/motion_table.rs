@@ -4,7 +4,7 @@ use crate::ContactError;
 use crate::known_motion::{LogRow, MotionLog};
 use nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
 use std::path::Path;
-use wcal_session::{TextTable, TextTableLayout, read_text_table};
+use wcal_session::{SessionWarning, TextTable, TextTableLayout, read_text_table};
 
 /// More rows than this are no log that was meant, and would fill the memory.
 const MAX_ROWS: usize = 5_000_000;
@@ -17,6 +17,8 @@ pub struct LoggedMotion {
     pub log: MotionLog,
     /// Poses of the base, not ways of the object.
     pub posed: bool,
+    /// The file may have been cut off.
+    pub warning: Option<SessionWarning>,
 }
 
 /// Columns of a place and the millimetres of their unit; none where the table has none of that name.
@@ -43,11 +45,11 @@ pub fn has_motion(path: &Path) -> Result<bool, ContactError> {
     Ok(["object", "base"].iter().any(|name| place_columns(&table, name).is_some()))
 }
 
-/// Reads a log. `offset_s` is what its clock is ahead; rows with empty cells say nothing.
+/// Reads a log; rows with empty cells say nothing.
 ///
 /// # Errors
 /// What cannot be used, by line and column.
-pub fn read(path: &Path, offset_s: f64) -> Result<LoggedMotion, ContactError> {
+pub fn read(path: &Path) -> Result<LoggedMotion, ContactError> {
     let table = read_text_table(path, &TextTableLayout::default())?;
     let name = path.display().to_string();
     if table.rows.len() > MAX_ROWS {
@@ -100,8 +102,8 @@ pub fn read(path: &Path, offset_s: f64) -> Result<LoggedMotion, ContactError> {
                 (back, back * -place)
             }
         };
-        rows.push(LogRow { line: *line, t_s: t_s - offset_s, turn, moved_mm });
+        rows.push(LogRow { line: *line, t_s, turn, moved_mm });
     }
     let log = MotionLog::new(rows).map_err(ContactError::in_file(path))?;
-    Ok(LoggedMotion { log, posed })
+    Ok(LoggedMotion { log, posed, warning: table.warning() })
 }

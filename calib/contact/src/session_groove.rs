@@ -1,15 +1,15 @@
 //! Contact places of a session from its moments and the known way of the groove, and how far they are from the groove.
 
 #[cfg(test)]
-mod tests;
+mod session_groove_test;
 
 use crate::ContactError;
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
 use crate::groove_comparison::{Compared, coverage_rejected, groove_sentence, groove_tracking};
 use crate::known_motion::contact_path::ContactPath;
 use crate::known_motion::{
-    CorrelatedNoise, Disagreement, Episode, EpisodeContact, EpisodeEstimate, Friction, MomentField,
-    MotionRow, Region, Settings, bound_mm, estimate_contact,
+    CorrelatedNoise, Episode, EpisodeContact, EpisodeEstimate, Friction, MomentField, MotionRow, Region,
+    Settings, bound_mm, estimate_contact,
 };
 use crate::reading::{Moments, Reading};
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
@@ -170,9 +170,9 @@ pub fn track(
 }
 
 impl TrackedSession {
-    /// Place at a reading of the system's path, with the trajectory's disagreement.
-    pub fn places(&self) -> BTreeMap<usize, (EpisodeContact, Option<Disagreement>)> {
-        let of = |t: &TrackedTrajectory| -> Vec<(usize, (EpisodeContact, Option<Disagreement>))> {
+    /// Place at a reading of the system's path, and whether the trajectory disagrees with its motion.
+    pub fn places(&self) -> BTreeMap<usize, (EpisodeContact, bool)> {
+        let of = |t: &TrackedTrajectory| -> Vec<(usize, (EpisodeContact, bool))> {
             let back = self.frame.rotation().inverse();
             let in_base = |p: &EpisodeContact| match self.frame.is_base() {
                 true => p.clone(),
@@ -183,7 +183,7 @@ impl TrackedSession {
                 },
             };
             let at = |(r, p): (&ReadingWithMotion, &EpisodeContact)| {
-                (r.reading, (in_base(p), t.found.disagreement))
+                (r.reading, (in_base(p), t.found.disagrees()))
             };
             t.readings.iter().zip(&t.found.places).map(at).collect()
         };
@@ -227,7 +227,7 @@ impl TrackedSession {
                     bound_by_map_mm,
                     moment_nmm: t.largest_moment(),
                     held: posterior.holds(&state),
-                    doubted: t.found.disagreement.is_some(),
+                    doubted: t.found.disagrees(),
                 });
             }
         }
@@ -249,9 +249,8 @@ impl TrackedSession {
 
     /// What speaks against motion and moments, trajectory by trajectory.
     pub fn disagreements(&self) -> Vec<String> {
-        let of = |t: &TrackedTrajectory| {
-            Some(format!("trajectory {}: {}", t.id, disagreement_sentence(&t.found)?))
-        };
+        let of =
+            |t: &TrackedTrajectory| Some(format!("trajectory {}: {}", t.id, t.found.innovations.sentence()?));
         self.trajectories.iter().filter_map(of).collect()
     }
 }
@@ -322,8 +321,8 @@ impl Estimator for SessionGroove {
         let lines = self.tracked.trajectories.iter().flat_map(|t| &t.readings);
         let lines: BTreeMap<usize, usize> = lines.map(|r| (r.reading, r.line)).collect();
         let one = |reading: &usize| {
-            let (place, disagreement) = places.get(reading)?;
-            let flags = disagreement.map_or_else(Flags::default, |_| Flags::MOTION_DISAGREES);
+            let (place, disagrees) = places.get(reading)?;
+            let flags = if *disagrees { Flags::MOTION_DISAGREES } else { Flags::default() };
             let regions = regions.get(lines.get(reading)?).cloned().unwrap_or_default();
             Some(Contact { estimate: ContactEstimate::of_place(place), flags, regions, ..Contact::default() })
         };
@@ -345,10 +344,4 @@ impl Estimator for SessionGroove {
         let coverage_rejected = self.groove.as_ref().is_some_and(coverage_rejected);
         Findings { document, messages, doubt, coverage_rejected, ..Findings::default() }
     }
-}
-
-/// What speaks against motion and moments; none where nothing does.
-pub fn disagreement_sentence(found: &EpisodeEstimate) -> Option<String> {
-    let (i, said) = (&found.innovations, found.disagreement?.sentence());
-    Some(format!("{said} (chi2 {:.0} for {:.0} degrees of freedom)", i.plain, i.dof))
 }

@@ -1,7 +1,7 @@
 //! Contacts that slide over an object: where no fixed point of the object explains the moments.
 
 use crate::ContactError;
-use crate::known_motion::{Disagreement, EpisodeEstimate, MotionRow};
+use crate::known_motion::{EpisodeEstimate, MotionRow};
 use crate::sliding::{SlidingContact, TouchedWire, locate_sliding};
 use wcal_core::WhiskerSpec;
 use wcal_core::observation::MomentAxes;
@@ -15,15 +15,14 @@ pub fn sliding_contacts(
     known: &[MotionRow],
     episodes: &[([usize; 2], &EpisodeEstimate)],
 ) -> Result<Vec<Option<SlidingContact>>, ContactError> {
-    let unexplained = |found: &EpisodeEstimate| found.disagreement == Some(Disagreement::Unexplained);
-    if !episodes.iter().any(|(_, found)| unexplained(found)) {
+    if !episodes.iter().any(|(_, found)| found.disagrees()) {
         return Ok(vec![None; episodes.len()]);
     }
     let wire = TouchedWire::new(whisker, &MomentAxes::default())?;
     // A few readings past the end show whether the load was lost at once.
     let one = |([from, to], found): &([usize; 2], &EpisodeEstimate)| {
         let past = (*to + PAST).min(known.len());
-        unexplained(found).then(|| {
+        found.disagrees().then(|| {
             let mut all = locate_sliding(&wire, &known[*from..past]);
             all.places.truncate(to - from);
             all.regions.truncate(to - from);

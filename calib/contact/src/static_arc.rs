@@ -26,12 +26,6 @@ pub struct StaticArc {
     readings: u64,
 }
 
-/// Whether a reading is loaded beyond its own noise and what is not known of the zero; the misfit of a calibration is none at the free wire.
-pub(crate) fn loaded(m: &Moments) -> bool {
-    let sd_nmm = (m.own_nmm2.unwrap_or(m.pose_nmm2) + m.zero_nmm2).trace().sqrt();
-    m.moment_nmm[0].hypot(m.moment_nmm[1]) > LOADED_SDS * sd_nmm
-}
-
 impl StaticArc {
     /// Of a wire.
     #[must_use]

@@ -11,19 +11,17 @@ use crate::stream_motion::{StreamMotion, kernel};
 use crate::track_document::{
     FilterDocument, NoiseDocument, StreamDocument, StreamMotionDocument, StreamedWhisker, TimeDocument,
 };
-use crate::track_table::{TrackFiles, TrackRow, event_message};
+use crate::track_table::{TrackFiles, TrackRow};
 use crate::trust::WhiskerModel;
 use crate::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
 use nalgebra::{Matrix2, Vector3};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use wcal_acquisition::clock_watch::{ClockFault, ClockWatch};
 use wcal_acquisition::clocks::ClockPair;
 use wcal_acquisition::message::{StagePosition, SweepEvent};
 use wcal_acquisition::rig::Rig;
-use wcal_acquisition::tracks::TrackChannels;
 use wcal_acquisition::whisker_reader::WhiskerReader;
 use wcal_core::WhiskerSpec;
 use wcal_core::device::FbgReading;
@@ -53,8 +51,6 @@ pub struct StreamSettings {
     pub vouched: bool,
     /// What is assumed of the motion.
     pub accuracy: MotionAccuracy,
-    /// Recording that is written.
-    pub mcap: Option<PathBuf>,
 }
 
 /// One whisker of a stream.
@@ -209,7 +205,6 @@ impl<'a> StreamTracks<'a> {
         reading: &FbgReading,
         dropped: bool,
         files: &mut TrackFiles,
-        channels: Option<&TrackChannels>,
     ) -> Result<(), ContactError> {
         let device_s = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
         self.origin_s.get_or_insert(device_s);
@@ -231,9 +226,6 @@ impl<'a> StreamTracks<'a> {
             if let Some(event) = event {
                 *w.events.entry(event.kind.name()).or_default() += 1;
                 files.event(&w.loaded.name, &w.doubts, &event)?;
-                if let Some(channels) = channels {
-                    channels.event(reading.clocks.host_s, &event_message(&w.loaded.name, &event));
-                }
             }
             if let Some(row) = row {
                 let start = Instant::now();
@@ -241,9 +233,6 @@ impl<'a> StreamTracks<'a> {
                 self.spent[1] += start.elapsed();
                 for row in rows {
                     files.row(&row)?;
-                    if let Some(channels) = channels {
-                        channels.contact(reading.clocks.host_s, &row.message());
-                    }
                 }
             }
         }
@@ -297,7 +286,6 @@ impl<'a> StreamTracks<'a> {
             whiskers.push(w.document(found.document));
         }
         let document = StreamDocument {
-            mcap: self.stream.mcap.clone(),
             rate_hz: self.stream.rate_hz,
             prefix_s: self.stream.prefix_s,
             false_alarms_per_hour: self.stream.false_alarms_per_hour,

@@ -6,36 +6,13 @@ use crate::motion_table;
 use crate::sweep_session::SweepSession;
 use crate::table_source::base_pose;
 use crate::zero::steady;
-use nalgebra::{Isometry3, Matrix2, Matrix3, Translation3, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix2, Vector2, Vector3};
 use wcal_calibration::{SensedRow, WhiskerCalibration};
 use wcal_core::observation::WhiskerSpec;
 use wcal_core::wire_frame::WireFrame;
 
 /// Free readings that a zero needs at least.
 const MIN_FREE: usize = 3;
-/// A zero that is this many standard deviations off at the end, and this share of the largest moment, has drifted.
-const DRIFT_SDS: f64 = 5.0;
-const DRIFT_SHARE: f64 = 0.03;
-
-/// What is taken for wrong, one thing at a time; the default is nothing.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Trial {
-    /// Factor on the moments.
-    pub gain: f64,
-    /// What the clock of the motion is ahead beyond what is known, s.
-    pub clock_s: f64,
-    /// Turn and scale of the base's places.
-    pub motion: Matrix3<f64>,
-    /// Standard deviation of the object's place, mm, in place of the stated one.
-    pub placed_sd_mm: Option<f64>,
-}
-
-impl Default for Trial {
-    fn default() -> Self {
-        Self { gain: 1.0, clock_s: 0.0, motion: Matrix3::identity(), placed_sd_mm: None }
-    }
-}
-
 /// A reading, moments in the frame of the wire.
 #[derive(Debug, Clone)]
 pub(crate) struct SweepRow {
@@ -63,8 +40,7 @@ impl SweepRecord {
         (whisker, frame): (&WhiskerSpec, &WireFrame),
     ) -> Result<Self, ContactError> {
         let sensed = calibration.sensed(&session.points, whisker)?;
-        let (file, offset_s) = &session.motion;
-        let log = motion_table::read(file, *offset_s)?.log;
+        let log = motion_table::read(&session.points)?.log;
         let place = session.points.display();
         let row = |r: &SensedRow| {
             let what = || format!("{place}: line {}: t_s", r.line);
@@ -81,14 +57,11 @@ impl SweepRecord {
         Ok(Self { rows, log })
     }
 
-    /// The readings at which the base's pose is known, as a trial has them.
-    pub fn rows(&self, trial: &Trial) -> Vec<SweepRow> {
+    /// The readings at which the base's pose is known.
+    pub fn rows(&self) -> Vec<SweepRow> {
         let one = |r: &SweepRow| {
-            let motion = self.log.at(r.t_s + trial.clock_s, &Vector3::zeros()).ok()?;
-            let pose = base_pose(&motion).world_from_base;
-            let place = Translation3::from(trial.motion * pose.translation.vector);
-            let world_from_base = Isometry3::from_parts(place, pose.rotation);
-            Some(SweepRow { moment_nmm: r.moment_nmm * trial.gain, world_from_base, ..r.clone() })
+            let motion = self.log.at(r.t_s, &Vector3::zeros()).ok()?;
+            Some(SweepRow { world_from_base: base_pose(&motion).world_from_base, ..r.clone() })
         };
         self.rows.iter().filter_map(one).collect()
     }
@@ -105,8 +78,6 @@ pub(crate) struct SweepZero {
     pub shared_nmm: Vec<Vector2<f64>>,
     /// Largest moment from it, N mm.
     pub largest_nmm: f64,
-    /// Moment where the wire is clear of the object again at the end, where it is no longer the zero, N mm.
-    pub drift_nmm: Option<f64>,
 }
 
 impl SweepZero {
@@ -119,10 +90,7 @@ impl SweepZero {
         if free < MIN_FREE {
             return None;
         }
-        let mean = |range: std::ops::Range<usize>| {
-            moments[range.clone()].iter().sum::<Vector2<f64>>() / range.len() as f64
-        };
-        let zero = mean(0..free);
+        let zero = moments[..free].iter().sum::<Vector2<f64>>() / free as f64;
         let variance = moments[..free].iter().map(|m| (m - zero).norm_squared()).sum::<f64>()
             / (2.0 * (free - 1) as f64);
         let largest_nmm = moments.iter().map(|m| (m - zero).norm()).fold(0.0, f64::max);
@@ -130,14 +98,6 @@ impl SweepZero {
         let shared =
             |k: usize| rows[..free].iter().map(|r| r.shared_nmm[k]).sum::<Vector2<f64>>() / free as f64;
         let shared_nmm = (0..count).map(shared).collect();
-        // A wire may hang on where the free one is clear: the end is free where it is steady, too.
-        let after = clear[free..].iter().rev().take_while(|c| **c).count();
-        let backward: Vec<Vector2<f64>> = moments[rows.len() - after..].iter().rev().copied().collect();
-        let end = rows.len() - steady(&backward, 0.0).map_or(0, |s| s.count)..rows.len();
-        let drift_nmm = (end.len() >= MIN_FREE).then(|| (mean(end.clone()) - zero).norm()).filter(|off| {
-            let sd = (2.0 * variance * (1.0 / free as f64 + 1.0 / end.len() as f64)).sqrt();
-            *off > (DRIFT_SDS * sd).max(DRIFT_SHARE * largest_nmm)
-        });
-        Some(Self { free, moment_nmm: zero, variance_nmm2: variance, shared_nmm, largest_nmm, drift_nmm })
+        Some(Self { free, moment_nmm: zero, variance_nmm2: variance, shared_nmm, largest_nmm })
     }
 }

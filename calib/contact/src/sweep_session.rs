@@ -19,8 +19,6 @@ pub struct SweepSession {
     pub id: String,
     /// Readings with the poses of the base.
     pub points: PathBuf,
-    /// Table with the motion, and what its clock is ahead, s.
-    pub motion: (PathBuf, f64),
     /// Mesh of the object, where it is known.
     pub object: Option<PathBuf>,
     /// Where the mesh lies in the frame of those poses, where it is known.
@@ -68,8 +66,7 @@ impl SweepSession {
         let missing = || ContactError::value(at("files.points"), "a table of readings", "none");
         let id = session.get("id").and_then(Value::as_str).unwrap_or_default().to_owned();
         let points = file("points").ok_or_else(missing)?;
-        let motion = (points.clone(), 0.0);
-        Ok(Some(Self { id, points, motion, object: file("object"), world_from_object, object_sd_mm }))
+        Ok(Some(Self { id, points, object: file("object"), world_from_object, object_sd_mm }))
     }
 }
 

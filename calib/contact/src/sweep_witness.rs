@@ -21,7 +21,7 @@
 //! largest one: the contact is that of first touch there. A wire that slips while the load falls may lie on elsewhere, or at two places.
 
 use crate::ContactError;
-use crate::sweep_record::{SweepRecord, SweepRow, SweepZero, Trial};
+use crate::sweep_record::{SweepRecord, SweepRow, SweepZero};
 use crate::sweep_session::SweepSession;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix2, Vector2, Vector3};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -80,8 +80,6 @@ pub struct SweepVerdict {
     pub distance: SurfaceDistance,
     /// Probability of gaps as unlikely where the calibration is right within its uncertainty.
     pub p_value: f64,
-    /// Moment of the free wire after the contact, where it is no longer the zero, N mm.
-    pub drift_nmm: Option<f64>,
 }
 
 impl SweepVerdict {
@@ -137,22 +135,9 @@ impl SweepWitness {
         calibration: &dyn WhiskerCalibration,
         declared: &WhiskerSpec,
     ) -> Result<SweepVerdict, ContactError> {
-        self.verdict(&self.record(calibration, declared)?, &Trial::default())
-    }
-
-    /// Readings through a calibration.
-    pub(crate) fn record(
-        &self,
-        calibration: &dyn WhiskerCalibration,
-        declared: &WhiskerSpec,
-    ) -> Result<SweepRecord, ContactError> {
-        SweepRecord::new(&self.session, calibration, (declared, &self.frame))
-    }
-
-    /// Judges readings as a trial has them.
-    pub(crate) fn verdict(&self, record: &SweepRecord, trial: &Trial) -> Result<SweepVerdict, ContactError> {
+        let record = SweepRecord::new(&self.session, calibration, (declared, &self.frame))?;
         let place = || self.session.points.display().to_string();
-        let rows = record.rows(trial);
+        let rows = record.rows();
         let (clear, clear_mm) = self.clear(&rows)?;
         // The sweep's own zero, and from when on the wire is loaded.
         let Some(zero) = SweepZero::new(&rows, &clear) else {
@@ -198,14 +183,11 @@ impl SweepWitness {
         // What all readings share is off the zero already.
         let off_zero = |r: &SweepRow| zero.shared_nmm.iter().zip(&r.shared_nmm).map(|(z, h)| h - z).collect();
         let known: Vec<Vec<Vector2<f64>>> = touching.iter().map(|r| off_zero(r)).collect();
-        let placed_sd_mm = trial.placed_sd_mm.unwrap_or(self.session.object_sd_mm);
-        let of_zero = (zero_nmm2, spacing_nmm, placed_sd_mm);
-        let covariance = self.covariance(&touching, &moments, &gaps, &known, of_zero);
+        let covariance = self.covariance(&touching, &moments, &gaps, &known, (zero_nmm2, spacing_nmm));
         Ok(SweepVerdict {
             distance: distance(&gaps),
             samples: gaps.len(),
             p_value: p_value(&gaps, covariance),
-            drift_nmm: zero.drift_nmm,
         })
     }
 
@@ -298,14 +280,14 @@ impl SweepWitness {
         moments: &[Vector2<f64>],
         gaps: &[Gap],
         shared_nmm: &[Vec<Vector2<f64>>],
-        (zero_nmm2, spacing_nmm, placed_sd_mm): (Matrix2<f64>, f64, f64),
+        (zero_nmm2, spacing_nmm): (Matrix2<f64>, f64),
     ) -> DMatrix<f64> {
         let n = rows.len();
         let root = |i: usize| root2(&rows[i].noise_nmm2).transpose() * gaps[i].by_moment;
         let misfit: Vec<Vector2<f64>> = (0..n).map(root).collect();
         let shared: Vec<Vec<f64>> =
             (0..n).map(|i| shared_nmm[i].iter().map(|h| gaps[i].by_moment.dot(h)).collect()).collect();
-        let placed = placed_sd_mm.powi(2);
+        let placed = self.session.object_sd_mm.powi(2);
         DMatrix::from_fn(n, n, |i, j| {
             let off = (moments[i] - moments[j]).norm() / spacing_nmm.max(1e-9);
             let alike = (-0.5 * off * off).exp();

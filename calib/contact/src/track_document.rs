@@ -1,9 +1,8 @@
 //! `track.json`: what a track is made of and what was found, as a program reads it.
 
 use crate::known_motion::contact_stream::FinishedEpisode;
-use crate::known_motion::{Disagreement, EpisodeEstimate, Innovations, Posterior, Region};
+use crate::known_motion::{EpisodeEstimate, Innovations, Posterior, Region};
 use crate::mesh_score::MeshScore;
-use crate::object_judgement::ObjectJudgement;
 use crate::sliding::SlidingContact;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -75,11 +74,8 @@ pub struct TableDocument {
     /// Log of a motion.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub motion: Option<LogDocument>,
-    /// Distance of the contacts to the mesh of an imported sweep.
+    /// Distance of the contacts from the mesh of the object that is passed.
     pub object: Option<MeshScore>,
-    /// Whether moments, motion and object belong together, where its place is known.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub object_judgement: Option<ObjectJudgement>,
     /// Groove of a session against the answers.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub groove_tracking: Option<Option<GrooveTracking>>,
@@ -188,7 +184,7 @@ pub struct ContactDocument {
 }
 
 impl ContactDocument {
-    fn new(i: &Innovations, disagreement: Option<Disagreement>, readings: usize) -> Self {
+    fn new(i: &Innovations, readings: usize) -> Self {
         Self {
             trajectory: None,
             regions: None,
@@ -196,7 +192,7 @@ impl ContactDocument {
             chi2_robust: i.robust,
             dof: i.dof,
             outlier: i.outlier,
-            disagreement: disagreement.map(Disagreement::name),
+            disagreement: (!i.consistent()).then_some("motion-disagrees"),
             readings,
             from_s: None,
             to_s: None,
@@ -209,7 +205,7 @@ impl ContactDocument {
     #[must_use]
     pub fn of_trajectory(id: u32, found: &EpisodeEstimate, readings: usize) -> Self {
         let regions = found.posterior.as_ref().map(Posterior::regions);
-        Self { trajectory: Some(id), regions, ..Self::new(&found.innovations, found.disagreement, readings) }
+        Self { trajectory: Some(id), regions, ..Self::new(&found.innovations, readings) }
     }
 
     /// Of a table's contact; as one that slides, where the motion supports it.
@@ -221,7 +217,7 @@ impl ContactDocument {
         sliding: Option<&SlidingContact>,
         slides: bool,
     ) -> Self {
-        let fixed = Self::new(&found.innovations, found.disagreement.filter(|_| !slides), readings);
+        let fixed = Self::new(&found.innovations, readings);
         let evidence = |s: &SlidingContact| SlidingDocument {
             log_evidence: s.evidence,
             reversed_log_evidence: s.reversed_evidence,
@@ -231,6 +227,7 @@ impl ContactDocument {
             regions: found.posterior.as_ref().map(Posterior::regions).filter(|_| !slides),
             from_s: Some(from_s),
             to_s: Some(to_s),
+            disagreement: fixed.disagreement.filter(|_| !slides),
             contact: Some(if slides { "sliding" } else { "fixed" }),
             sliding: Some(sliding.map(evidence)),
             ..fixed
@@ -244,7 +241,7 @@ impl ContactDocument {
             regions: Some(e.regions.clone()),
             from_s: Some(e.span_s[0]),
             to_s: Some(e.span_s[1]),
-            ..Self::new(&e.innovations, e.disagreement, e.readings)
+            ..Self::new(&e.innovations, e.readings)
         }
     }
 }
@@ -297,8 +294,6 @@ pub struct LogDocument {
     pub file: PathBuf,
     /// First and last time, s.
     pub span_s: [f64; 2],
-    /// What its clock is ahead, s.
-    pub offset_s: f64,
     /// Readings without a motion, by why.
     pub lost_rows: BTreeMap<&'static str, u64>,
     /// Lines at which it jumps.
@@ -308,8 +303,6 @@ pub struct LogDocument {
 /// Of a stream.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct StreamDocument {
-    /// Recording that was written.
-    pub mcap: Option<PathBuf>,
     /// Rows a second.
     pub rate_hz: f64,
     /// Beginning without contact, s.

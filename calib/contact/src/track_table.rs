@@ -1,4 +1,4 @@
-//! `track.csv`, `track-events.csv`, and the same rows for a recording or a live view.
+//! `track.csv` and `track-events.csv`.
 
 use crate::ContactError;
 use crate::estimator::ContactEstimate;
@@ -9,7 +9,6 @@ use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
-use wcal_acquisition::tracks::{ContactEventMessage, ContactPoint};
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_track::stream::{BasePose, ContactEvent};
 
@@ -107,47 +106,6 @@ impl TrackRow {
     fn world(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         let ((point, covariance), base) = self.place().zip(self.base)?;
         Some(base.to_world(&point, &covariance))
-    }
-
-    /// The row as a message.
-    #[must_use]
-    pub fn message(&self) -> ContactPoint {
-        let (place, world) = (self.place(), self.world());
-        let list =
-            |p: &Option<(Vector3<f64>, Matrix3<f64>)>| p.map_or_else(Vec::new, |p| p.0.as_slice().to_vec());
-        let spreads =
-            |p: &Option<(Vector3<f64>, Matrix3<f64>)>| p.map_or_else(Vec::new, |p| spread(&p.1).to_vec());
-        ContactPoint {
-            whisker: self.whisker.clone(),
-            t_s: self.t_s,
-            status: self.flags.text(),
-            moment_nmm: self.moments.map_or_else(Vec::new, |m| m.moment_nmm.to_vec()),
-            moment_sd_nmm: self.moments.map_or_else(Vec::new, |m| m.sd_nmm.to_vec()),
-            outside_valid_region: self.moments.is_some_and(|m| !m.valid),
-            doubts: self.doubts.clone(),
-            contact_probability: self.estimate.map_or_else(Vec::new, |e| vec![e.probability]),
-            contact_mm: list(&place),
-            covariance_mm2: spreads(&place),
-            world_mm: list(&world),
-            world_covariance_mm2: spreads(&world),
-            base_mm_s: self.base_mm_s.into_iter().collect(),
-        }
-    }
-}
-
-/// An event as a message.
-#[must_use]
-pub fn event_message(whisker: &str, e: &ContactEvent) -> ContactEventMessage {
-    ContactEventMessage {
-        whisker: whisker.to_owned(),
-        kind: e.kind.name().to_owned(),
-        t_s: e.t_s,
-        sd_s: e.sd_s,
-        before_nmm: e.moments_nmm[0].to_vec(),
-        after_nmm: e.moments_nmm[1].to_vec(),
-        statistic: e.statistic,
-        limit: e.limit,
-        ring: e.ring.map_or_else(Vec::new, |r| r.to_vec()),
     }
 }
 

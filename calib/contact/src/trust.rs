@@ -125,36 +125,6 @@ fn frame_of(
     })
 }
 
-/// Why `verify` wrote no calibration at this place; none where there is one, or no `verify.json` beside it.
-fn never_written(place: &Path) -> Option<String> {
-    if place.exists() {
-        return None;
-    }
-    let beside = place.with_file_name("verify.json");
-    let document: serde_json::Value = serde_json::from_slice(&wcal_core::files::read(&beside).ok()?).ok()?;
-    let text = |key: &str| document[key].as_str().unwrap_or_default().to_owned();
-    let ids = document["effects"].as_array().into_iter().flatten().filter_map(|e| e["id"].as_str());
-    let ids = ids.collect::<Vec<_>>().join(", ");
-    let verdict = text("verdict");
-    let accepted = match (verdict.as_str(), ids.as_str()) {
-        ("ambiguous", _) => {
-            "several explanations are left and none was accepted (--accept chooses one)".to_owned()
-        }
-        ("unknown-effect", "") => {
-            "it accepted no effect: nothing in its catalogue explains what is left".to_owned()
-        }
-        ("unknown-effect", some) => {
-            format!("it accepted {some}, and nothing in its catalogue explains what is left")
-        }
-        _ => "it accepted none".to_owned(),
-    };
-    let (place, beside) = (place.display(), beside.display());
-    Some(format!(
-        "{place}: not there: the verdict of verify is \"{verdict}\" ({beside}); {accepted}. So it wrote no calibration. {}",
-        text("reason")
-    ))
-}
-
 /// A whisker's calibration, and what speaks against it by itself.
 ///
 /// # Errors
@@ -162,9 +132,6 @@ fn never_written(place: &Path) -> Option<String> {
 fn calibration_issues(
     place: &Path,
 ) -> Result<(CalibrationFile<CalibrationModel>, Vec<TrustIssue>), ContactError> {
-    if let Some(why) = never_written(place) {
-        return Err(ContactError::NoCalibration(why));
-    }
     let (file, changed) = read_unsealed(place)?;
     of_whisker(place, &file)?;
     let mut issues: Vec<TrustIssue> = changed.into_iter().collect();

@@ -9,14 +9,14 @@ use crate::contact_history::ContactHistory;
 use crate::estimator::{Contact, Estimator, Message};
 use crate::frame::{in_base_frame, in_wire_frame};
 use crate::known_groove::KnownGroove;
-use crate::mesh_score::KnownObject;
+use crate::mesh_score::{KnownObject, MeshScore};
 use crate::reading::{Moments, Reading};
 use crate::track_document::WhiskerDocument;
 use crate::track_table::TrackRow;
 use crate::zero::Zero;
 use std::collections::VecDeque;
 use wcal_core::WireFrame;
-use wcal_core::stream::{Flags, StreamMoments};
+use wcal_core::stream::StreamMoments;
 
 /// What stands beside the rows of a whisker.
 #[derive(Debug, Clone, Default)]
@@ -49,8 +49,9 @@ pub struct WhiskerTrack<'a> {
     followed: bool,
     /// The groove that the answers are compared with, where it is known.
     groove: Option<KnownGroove>,
-    /// The object that is passed, where its place is known, and what every contact on it is flagged with.
-    object: Option<(KnownObject, Flags)>,
+    /// The object that is passed, where its place is known, and the distances of the contacts on it, mm.
+    object: Option<KnownObject>,
+    distances_mm: Vec<f64>,
     rows: u64,
     flagged: u64,
     outside: u64,
@@ -76,6 +77,7 @@ impl<'a> WhiskerTrack<'a> {
             followed,
             groove: None,
             object: None,
+            distances_mm: Vec::new(),
             rows: 0,
             flagged: 0,
             outside: 0,
@@ -87,8 +89,8 @@ impl<'a> WhiskerTrack<'a> {
         self.groove = groove;
     }
 
-    /// States distances from an object whose place is known; contacts on it have these flags.
-    pub fn know_object(&mut self, object: Option<(KnownObject, Flags)>) {
+    /// States distances from an object whose place is known; none without one.
+    pub fn know_object(&mut self, object: Option<KnownObject>) {
         self.object = object;
     }
 
@@ -135,11 +137,12 @@ impl<'a> WhiskerTrack<'a> {
             self.history.gap();
         }
         let segment = self.history.row(t_s, estimate.as_ref(), on_object, base, base_mm_s);
-        let mut flags = reading.flags.with(contact.flags);
-        let object_mm = self.object.as_ref().zip(estimate).zip(base).map(|(((object, doubt), e), base)| {
-            flags = flags.with(*doubt);
-            object.distance_mm(&base.to_world(&e.place_mm, &e.covariance_mm2).0)
-        });
+        let flags = reading.flags.with(contact.flags);
+        let object_mm =
+            self.object.as_ref().zip(estimate).zip(base).map(|((object, e), base)| {
+                object.distance_mm(&base.to_world(&e.place_mm, &e.covariance_mm2).0)
+            });
+        self.distances_mm.extend(object_mm.filter(|_| on_object));
         self.rows += 1;
         self.flagged += u64::from(!flags.none());
         self.outside += u64::from(moments.is_some_and(|m| !m.valid));
@@ -159,6 +162,12 @@ impl<'a> WhiskerTrack<'a> {
             several,
             object_mm,
         }
+    }
+
+    /// Distances of the contacts on the object; none without one, or for few contacts.
+    #[must_use]
+    pub fn object_score(&self) -> Option<MeshScore> {
+        MeshScore::new(self.distances_mm.clone())
     }
 
     /// Contact intervals and cloud.

@@ -209,13 +209,11 @@ fn a_stream_finds_its_episodes_and_doubts_a_reversed_motion() {
         all += 1;
         let (episodes, off) = streamed(&mut stream(), &press, 1.0, None);
         assert_eq!(episodes.len(), 1, "{seed}: {episodes:?}");
-        plain += usize::from(off == 0 && episodes[0].disagreement.is_none());
+        plain += usize::from(off == 0 && episodes[0].innovations.consistent());
         // Control: the object goes the other way.
         let (episodes, off) = streamed(&mut stream(), &press, -1.0, None);
         doubted += usize::from(off > 5);
-        named += usize::from(
-            episodes.iter().any(|e| e.disagreement.is_some_and(|d| d.name() == "motion-reversed")),
-        );
+        named += usize::from(episodes.iter().any(|e| !e.innovations.consistent()));
     }
     println!("{all} presses: {plain} agree, reversed {doubted} doubted on the way, {named} named");
     assert!(

@@ -1,6 +1,7 @@
 //! Host time of readings, and from when on one is late.
 
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use crate::standstill::now_ns;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 /// A reading that arrives this much later than others did (wall time) says that the bench, or this computer, falls behind, s.
 const LATE_WALL_S: f64 = 2.0;
@@ -8,10 +9,10 @@ const LATE_WALL_S: f64 = 2.0;
 /// stage was, s.
 const LATE_BENCH_S: f64 = 50.0;
 
-/// Host clock: seconds since the Unix epoch, monotonic; runs `scale` times as fast with an accelerated virtual bench.
+/// Host clock: seconds since the Unix epoch, monotonic, and it goes on while the computer sleeps, as the devices' clocks do; runs `scale` times as fast with an accelerated virtual bench.
 #[derive(Debug, Clone, Copy)]
 pub struct HostClock {
-    start: Instant,
+    start_ns: u64,
     start_epoch_s: f64,
     scale: f64,
 }
@@ -21,13 +22,13 @@ impl HostClock {
     #[must_use]
     pub fn start(scale: f64) -> Self {
         let epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Self { start: Instant::now(), start_epoch_s: epoch.as_secs_f64(), scale }
+        Self { start_ns: now_ns(), start_epoch_s: epoch.as_secs_f64(), scale }
     }
 
     /// Now, s.
     #[must_use]
     pub fn now_s(&self) -> f64 {
-        self.start_epoch_s + self.start.elapsed().as_secs_f64() * self.scale
+        self.start_epoch_s + (now_ns() - self.start_ns) as f64 * 1e-9 * self.scale
     }
 
     /// Host seconds per wall second; 1 on a real bench.

@@ -5,6 +5,7 @@
 //! ```
 
 use crate::device::{DeviceError, DeviceErrorKind};
+use crate::standstill;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
@@ -104,6 +105,8 @@ pub struct Deadline {
     end: Instant,
     allowed: Duration,
     interrupt: Interrupt,
+    /// How long the program had stood still when it began: time in which nobody could look is no part of the wait.
+    still: Duration,
 }
 
 impl Deadline {
@@ -111,7 +114,8 @@ impl Deadline {
     #[must_use]
     pub fn after(allowed: Duration, interrupt: &Interrupt) -> Self {
         let allowed = allowed.min(LONGEST);
-        Self { end: Instant::now() + allowed, allowed, interrupt: interrupt.clone() }
+        let still = standstill::total();
+        Self { end: Instant::now() + allowed, allowed, interrupt: interrupt.clone(), still }
     }
 
     /// For what must be tried whatever the user wants: to stop a stage.
@@ -123,8 +127,9 @@ impl Deadline {
     /// An earlier end: a part of this wait.
     #[must_use]
     pub fn within(&self, allowed: Duration) -> Self {
-        let end = self.end.min(Instant::now() + allowed.min(LONGEST));
-        Self { end, allowed: self.allowed.min(allowed), interrupt: self.interrupt.clone() }
+        let still = standstill::total();
+        let end = (self.end + still.saturating_sub(self.still)).min(Instant::now() + allowed.min(LONGEST));
+        Self { end, allowed: self.allowed.min(allowed), interrupt: self.interrupt.clone(), still }
     }
 
     /// The time that was allowed.
@@ -138,8 +143,13 @@ impl Deadline {
     pub fn left(&self) -> Duration {
         match self.interrupt.signal() {
             Some(_) => Duration::ZERO,
-            None => self.end.saturating_duration_since(Instant::now()),
+            None => (self.end + self.stood_still()).saturating_duration_since(Instant::now()),
         }
+    }
+
+    /// How long this program stood still since the wait began.
+    fn stood_still(&self) -> Duration {
+        standstill::total().saturating_sub(self.still)
     }
 
     /// Whether nothing is left.

@@ -1,7 +1,9 @@
-//! Documents as they are read: syntax, format and version, the range of every number, and only then the type.
+//! Documents as they are read: syntax, format and version, the range of every number, and only then the type. Files are read by
+//! [`crate::files::read_text`], which limits their size; what is wrong is said in one line of limited length.
 
 use crate::format::{self, FormatMismatch};
 use crate::ranges::{self, Numbers, OutOfRange, Range};
+use crate::text::brief;
 use serde::de::DeserializeOwned;
 
 /// Why a text is no such document.
@@ -18,10 +20,59 @@ pub enum DocumentError {
     Range(#[from] OutOfRange),
 }
 
-impl DocumentError {
-    fn content(found: &impl ToString) -> Self {
-        Self::Content(found.to_string().trim().to_owned())
+impl From<serde_json::Error> for DocumentError {
+    /// Its words end with the line.
+    fn from(error: serde_json::Error) -> Self {
+        Self::Content(brief(&error.to_string()))
     }
+}
+
+/// An error of TOML by its line; its own text repeats the whole line, however long that is.
+fn toml_error(text: &str, error: &toml::de::Error) -> DocumentError {
+    DocumentError::Content(match error.span() {
+        Some(span) => {
+            let before = &text.as_bytes()[..span.start.min(text.len())];
+            let line = before.iter().filter(|byte| **byte == b'\n').count();
+            let key =
+                text.split('\n').nth(line).and_then(|own| own.split_once('=')).map(|(key, _)| key.trim());
+            let key =
+                key.filter(|key| !key.is_empty()).map_or_else(String::new, |key| format!("{}: ", brief(key)));
+            format!("{key}{} at line {}", brief(error.message()), line + 1)
+        }
+        None => brief(&error.to_string()),
+    })
+}
+
+/// Reads JSON of any format.
+///
+/// # Errors
+/// Where it is none.
+pub fn json(text: &str) -> Result<serde_json::Value, DocumentError> {
+    Ok(serde_json::from_str(text)?)
+}
+
+/// Reads TOML of any format.
+///
+/// # Errors
+/// Where it is none.
+pub fn toml(text: &str) -> Result<toml::Table, DocumentError> {
+    text.parse().map_err(|e: toml::de::Error| toml_error(text, &e))
+}
+
+/// Reads JSON whose format is no matter, or is judged later.
+///
+/// # Errors
+/// Where it has other keys and types.
+pub fn json_as<T: DeserializeOwned>(text: &str) -> Result<T, DocumentError> {
+    Ok(serde_json::from_str(text)?)
+}
+
+/// Reads TOML whose format is no matter, or is judged later.
+///
+/// # Errors
+/// Where it has other keys and types.
+pub fn toml_as<T: DeserializeOwned>(text: &str) -> Result<T, DocumentError> {
+    toml::from_str(text).map_err(|e| toml_error(text, &e))
 }
 
 /// Reads a JSON document of a format.
@@ -33,10 +84,10 @@ pub fn from_json<T: DeserializeOwned>(
     format: &str,
     ranges: &[&[Range]],
 ) -> Result<T, DocumentError> {
-    let value: serde_json::Value = serde_json::from_str(text).map_err(|e| DocumentError::content(&e))?;
+    let value = json(text)?;
     checked(&value, value["format"].as_str(), format, ranges)?;
     // From the text once more: errors of keys and types then name the line.
-    serde_json::from_str(text).map_err(|e| DocumentError::content(&e))
+    json_as(text)
 }
 
 /// Reads a TOML document of a format.
@@ -48,9 +99,9 @@ pub fn from_toml<T: DeserializeOwned>(
     format: &str,
     ranges: &[&[Range]],
 ) -> Result<T, DocumentError> {
-    let table: toml::Table = text.parse().map_err(|e: toml::de::Error| DocumentError::content(&e))?;
+    let table = toml(text)?;
     checked(&table, table.get("format").and_then(toml::Value::as_str), format, ranges)?;
-    toml::from_str(text).map_err(|e| DocumentError::content(&e))
+    toml_as(text)
 }
 
 fn checked(
@@ -90,6 +141,19 @@ mod tests {
         }
         let toml = |text: &str| from_toml::<Plan>(text, "wcal-plan/1", &[RANGES]);
         assert_eq!(toml("format = \"wcal-plan/1\"\ncount = 3"), Ok(Plan { count: 3 }));
+        let long = format!("format = \"wcal-plan/1\"\ncount = \"{}\"", "x".repeat(100_000));
+        let error = toml(&long).unwrap_err().to_string();
+        assert!(
+            error.starts_with("count: ")
+                && error.ends_with("at line 2")
+                && error.len() < 400
+                && !error.contains('\n'),
+            "{error}"
+        );
+        let error =
+            json(&format!("{{\"format\": \"wcal-plan/1\",\n\"count\": \"{}\"}}", "x".repeat(100_000)));
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains("line 2") && error.len() < 400, "{error}");
         assert!(toml("format = \"wcal-plan/1\"\ncount = inf").unwrap_err().to_string().contains("count"));
         assert!(toml("format = \"wcal-plan/2\"\ncount = 3").unwrap_err().to_string().contains("update wcal"));
     }

@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 
 /// Largest file that is read into memory (tables, weights, pictures), bytes.
 pub const MAX_BYTES: u64 = 1 << 30;
-/// Largest text document (TOML, JSON, YAML), bytes: parsed, it takes several times as much memory.
-pub const MAX_DOCUMENT_BYTES: u64 = 256 << 20;
+/// Largest text document (TOML, JSON, YAML), bytes: parsed, it takes up to a hundred times as much memory.
+pub const MAX_DOCUMENT_BYTES: u64 = 16 << 20;
 
 /// The file system refused.
 #[derive(Debug, thiserror::Error)]
-#[error("{action} {}: {source}", path.display())]
+#[error("{action} {}: {source}", text::brief(&path.display().to_string()))]
 pub struct FileError {
     /// What was being done, e.g. `writing`.
     pub action: &'static str,

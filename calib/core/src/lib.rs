@@ -6,6 +6,7 @@
 pub mod bootstrap;
 pub mod calibration;
 pub mod clock;
+pub mod covariance;
 pub mod deadline;
 pub mod device;
 pub mod document;
@@ -22,6 +23,7 @@ pub mod residual;
 pub mod rig_devices;
 pub mod sealed;
 pub mod shapes_document;
+pub mod standstill;
 pub mod stream;
 pub mod text;
 pub mod verify_document;

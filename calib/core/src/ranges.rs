@@ -3,6 +3,7 @@
 //! A key is matched by its last parts: `youngs_gpa` or `whisker.youngs_gpa`; the first range that fits counts, and `""` fits every key.
 //! Positions in arrays are no part of it.
 
+use crate::text::brief;
 use serde_json::Value;
 use std::fmt;
 
@@ -30,6 +31,26 @@ impl Range {
 
     fn holds(&self, value: f64) -> bool {
         (self.low..=self.high).contains(&value)
+    }
+
+    /// Judges one number: `name` is what a message calls it, `whole` whether it is written as a whole one.
+    ///
+    /// # Errors
+    /// Where it is out of the range.
+    pub fn judge(&self, name: &str, value: f64, whole: bool) -> Result<(), OutOfRange> {
+        if self.holds(value) && (whole || !self.whole) {
+            return Ok(());
+        }
+        let found = format!("{}{}", Short(value), self.other_unit(own_part(name), value));
+        Err(OutOfRange { key: brief(name), expected: self.to_string(), found })
+    }
+
+    /// Judges a number by its own key.
+    ///
+    /// # Errors
+    /// As [`Range::judge`].
+    pub fn judge_own(&self, value: f64) -> Result<(), OutOfRange> {
+        self.judge(self.key, value, value.fract() == 0.0)
     }
 
     /// The unit in which the value would be in the range, as a question.
@@ -97,6 +118,12 @@ pub trait Numbers {
 /// Judges a number: key, name, value, and whether it is written as a whole one.
 pub type See<'a> = dyn FnMut(&str, &str, f64, bool) -> Result<(), OutOfRange> + 'a;
 
+/// A key without the tables above it and without its place in an array.
+fn own_part(name: &str) -> &str {
+    let last = name.rsplit('.').next().unwrap_or_default();
+    last.split(" #").next().unwrap_or_default()
+}
+
 /// `above.key`.
 fn below(above: &str, key: &str) -> String {
     if above.is_empty() { key.to_owned() } else { format!("{above}.{key}") }
@@ -151,13 +178,14 @@ pub fn check(document: &impl Numbers, ranges: &[&[Range]]) -> Result<(), OutOfRa
         if latest.0 != key || key.is_empty() {
             latest = (key.to_owned(), ranges.iter().copied().flatten().find(|range| range.fits(key)));
         }
-        let Some(range) = latest.1 else { return Ok(()) };
-        if range.holds(value) && (whole || !range.whole) {
-            return Ok(());
-        }
-        let found = format!("{}{}", Short(value), range.other_unit(key, value));
-        Err(OutOfRange { key: name.to_owned(), expected: range.to_string(), found })
+        latest.1.map_or(Ok(()), |range| range.judge(name, value, whole))
     })
+}
+
+/// The range of a key: the first that fits.
+#[must_use]
+pub fn range_of<'a>(key: &str, ranges: &'a [Range]) -> Option<&'a Range> {
+    ranges.iter().find(|range| range.fits(key))
 }
 
 /// The same of a value in memory; what no document can hold is not judged.

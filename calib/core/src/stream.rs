@@ -32,10 +32,7 @@ impl Flags {
     /// No fixed point of the object explains the moments along the known motion; one that slides does, and was assumed.
     pub const SLIDING_ASSUMED: Self = Self(4096);
 
-    /// Moments, motion and the object whose place is known do not belong together.
-    pub const OBJECT_DISAGREES: Self = Self(8192);
-
-    const NAMES: [(Self, &'static str); 13] = [
+    const NAMES: [(Self, &'static str); 12] = [
         (Self::GAP, "gap"),
         (Self::PEAK_LOST, "peak-lost"),
         (Self::CROSSING, "crossing"),
@@ -48,7 +45,6 @@ impl Flags {
         (Self::MOTION_LOST, "motion-lost"),
         (Self::MOTION_ASSUMED, "motion-assumed"),
         (Self::SLIDING_ASSUMED, "sliding-assumed"),
-        (Self::OBJECT_DISAGREES, "object-disagrees"),
     ];
 
     /// Both.

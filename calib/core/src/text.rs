@@ -39,6 +39,25 @@ pub fn other_than_text(bytes: &[u8]) -> Option<NotUtf8> {
     }
 }
 
+/// What a message repeats of a file's content, or of a parser's words about it: one line, the middle left out where it is long.
+#[must_use]
+pub fn brief(text: &str) -> String {
+    /// Characters of the beginning and of the end that are kept.
+    const KEPT: [usize; 2] = [220, 80];
+    let plain = |c: char| if c.is_control() { ' ' } else { c };
+    let text = text.trim();
+    let head = text.char_indices().nth(KEPT[0]).map(|(at, _)| at);
+    let tail = text.char_indices().rev().nth(KEPT[1] - 1).map(|(at, _)| at);
+    match (head, tail) {
+        (Some(head), Some(tail)) if head < tail => {
+            let [head, tail] =
+                [&text[..head], &text[tail..]].map(|part| part.chars().map(plain).collect::<String>());
+            format!("{head} ... {tail}")
+        }
+        _ => text.chars().map(plain).collect(),
+    }
+}
+
 /// UTF-8 text without its byte order mark.
 ///
 /// # Errors
@@ -123,6 +142,17 @@ mod tests {
         }
         assert!(decoded(&utf16(text, true)[..11]).is_err(), "cut in a character");
         assert_eq!(read(b"\x80\x99").0, "\u{20ac}\u{2122}");
+    }
+
+    #[test]
+    fn a_message_repeats_the_ends_of_what_is_long_and_in_one_line() {
+        assert_eq!(brief(" a\nb\tc "), "a b c");
+        let long = format!("begin{}end at line 3", "\u{e9}".repeat(6_000_000));
+        let found = brief(&long);
+        assert!(found.starts_with("begin") && found.ends_with("end at line 3"), "{found}");
+        assert!(found.chars().count() < 320, "{}", found.chars().count());
+        let whole = "x".repeat(299);
+        assert_eq!(brief(&whole), whole, "negative control");
     }
 
     #[test]

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 pub use errors::{
     CalibrationContact, CalibrationJudgement, ContactUncertainty, EffectAblation, GrooveTracking,
-    HeldOutError, MapLeftOut,
+    HeldOutError,
 };
 pub use findings::{
     Detectable, EffectParameter, NamedEffect, NextMeasurement, NextPose, SecondWitness, TwinCheck, TwinFault,
@@ -100,9 +100,6 @@ pub struct VerifyDocument {
     /// What each accepted effect is worth; absent without one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub leave_one_effect_out: Vec<EffectAblation>,
-    /// Fitted values that the data determine only together, in sentences; absent where there are none.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub identifiability: Vec<String>,
     /// How a given calibration does on readings that were not in its fit; absent without `--calibration`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationJudgement>,
@@ -156,7 +153,6 @@ impl VerifyDocument {
             inputs: Vec::new(),
             notes: Vec::new(),
             leave_one_effect_out: Vec::new(),
-            identifiability: Vec::new(),
             calibration: None,
             groove_tracking: None,
             sweep: None,

@@ -7,7 +7,7 @@
 //! G. Shafer, "Algorithmic Learning in a Random World" (2005) (split-conformal prediction).
 
 use crate::error::MapError;
-use crate::evidence::{Criterion, ShapeSearch, choose_hyperparameters, log_evidence};
+use crate::evidence::{ShapeSearch, choose_hyperparameters, log_evidence};
 use crate::kernel::{Kernel, RADIUS_PER_DIAMETER};
 use crate::process::{LeftOut, Process, ProcessModel};
 use crate::student::{binomial_bounds, half95, log_density};
@@ -207,10 +207,9 @@ pub(crate) trait Recipe {
     ) -> Result<ProcessModel, MapError>;
 }
 
-/// Hyperparameters by a criterion, anew in each fold.
+/// Hyperparameters by the evidence, anew in each fold.
 pub(crate) struct Searched {
     pub candidate: MapKind,
-    pub criterion: Criterion,
     pub diameter: f64,
     pub radius: f64,
 }
@@ -227,7 +226,7 @@ impl Recipe for Searched {
             (Some(range), Some(shape)) => Some(range.about(shape)),
             (range, _) => range,
         };
-        choose_hyperparameters(self.criterion, self.candidate.trend(), kernel, search, inputs, y)
+        choose_hyperparameters(self.candidate.trend(), kernel, search, inputs, y)
     }
 }
 

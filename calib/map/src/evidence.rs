@@ -1,27 +1,16 @@
-//! Hyperparameters by restricted likelihood or by leave-one-out density.
+//! Hyperparameters by restricted likelihood.
 //!
 //! Contrasts z = Q^T y with Q^T H = 0 (Householder), K_Q = Q^T K Q, n' = n - terms:
 //! ln L = -1/2 [n' (ln 2 pi s2 + 1) + ln det(K_Q + nu I)], s2 = z . (K_Q + nu I)^-1 z / n'. With K_Q = V T V^T, T tridiagonal, it costs O(n)
 //! for each further noise ratio nu: pivots p_i = T_ii + nu - T_(i,i-1)^2 / p_(i-1), w_i = (V^T z)_i - T_(i,i-1) w_(i-1) / p_(i-1),
-//! ln det = sum ln p_i, n' s2 = sum w_i^2 / p_i. The other criterion: sum (ln t_dof(e_i / s_i) - ln s_i) of the left-out errors.
+//! ln det = sum ln p_i, n' s2 = sum w_i^2 / p_i.
 //! Source: H. Patterson & R. Thompson, Biometrika 58 (1971); G. Golub & C. Van Loan, "Matrix Computations" (2013), sec. 5.1, 8.3 and 4.3.
 
 use crate::error::MapError;
 use crate::kernel::Kernel;
-use crate::process::{Process, ProcessModel};
-use crate::student::log_density;
+use crate::process::ProcessModel;
 use crate::trend::Trend;
 use nalgebra::{DMatrix, DVector, SymmetricTridiagonal};
-
-/// What the hyperparameters maximise.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Criterion {
-    /// Restricted likelihood with s2 profiled out (Patterson & Thompson 1971): invariant to the trend coefficients.
-    #[default]
-    Evidence,
-    /// Mean leave-one-out log predictive density.
-    LeaveOneOut,
-}
 
 /// Range of noise over signal variance. The upper end is "no correlated part to be seen", the lower one keeps C well conditioned.
 const LOG10_NUGGET: [f64; 2] = [-9.0, 6.0];
@@ -154,37 +143,11 @@ pub fn log_evidence(model: &ProcessModel, inputs: &[[f64; 2]], y: &[f64]) -> Opt
     Contrasts::new(&null, &model.kernel, inputs, y).log_evidence(model.nugget)
 }
 
-/// Best noise ratio (log10) and criterion at one kernel.
-fn best_nugget(
-    criterion: Criterion,
-    null: &TrendNull,
-    trend: Trend,
-    kernel: Kernel,
-    inputs: &[[f64; 2]],
-    y: &[f64],
-) -> (f64, f64) {
-    match criterion {
-        Criterion::Evidence => {
-            let contrasts = Contrasts::new(null, &kernel, inputs, y);
-            maximise(
-                |p| contrasts.log_evidence(10f64.powf(p)).unwrap_or(f64::NEG_INFINITY),
-                LOG10_NUGGET,
-                46,
-                20,
-            )
-        }
-        Criterion::LeaveOneOut => {
-            let single: Vec<Vec<usize>> = (0..inputs.len()).map(|i| vec![i]).collect();
-            let density = |p: f64| {
-                let model = ProcessModel { trend, kernel, nugget: 10f64.powf(p), fixed_variance: None };
-                Process::fit(model, inputs, y).map_or(f64::NEG_INFINITY, |fit| {
-                    let left = fit.leave_out(&single);
-                    left.iter().map(|e| log_density(e.error / e.sd, e.dof) - e.sd.ln()).sum::<f64>()
-                })
-            };
-            maximise(density, LOG10_NUGGET, 31, 10)
-        }
-    }
+/// Best noise ratio (log10) and evidence at one kernel.
+fn best_nugget(null: &TrendNull, kernel: Kernel, inputs: &[[f64; 2]], y: &[f64]) -> (f64, f64) {
+    let contrasts = Contrasts::new(null, &kernel, inputs, y);
+    let evidence = |p: f64| contrasts.log_evidence(10f64.powf(p)).unwrap_or(f64::NEG_INFINITY);
+    maximise(evidence, LOG10_NUGGET, 46, 20)
 }
 
 /// Chooses noise ratio and, where a range is given, the kernel's shape parameter.
@@ -192,7 +155,6 @@ fn best_nugget(
 /// # Errors
 /// [`MapError::NotPositiveDefinite`] where no admissible value gives a positive definite matrix.
 pub fn choose_hyperparameters(
-    criterion: Criterion,
     trend: Trend,
     kernel: Kernel,
     search: Option<ShapeSearch>,
@@ -204,7 +166,7 @@ pub fn choose_hyperparameters(
     }
     // Nested: the best noise ratio is cheap for a given shape, which costs a factorisation.
     let null = TrendNull::new(trend, inputs);
-    let best = |shape: f64| best_nugget(criterion, &null, trend, kernel.with_shape(shape), inputs, y);
+    let best = |shape: f64| best_nugget(&null, kernel.with_shape(shape), inputs, y);
     let shape = match (search, kernel.shape()) {
         (Some(s), _) => {
             let (log_shape, _) = maximise(|p| best(p.exp()).1, [s.low.ln(), s.high.ln()], s.steps, 8);

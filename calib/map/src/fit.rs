@@ -4,7 +4,6 @@ use crate::artefact::{ARTEFACT_VERSION, MapArtefact};
 use crate::candidate::{CandidateFit, Fixed, MapKind, Scaled, Searched, fit_candidate};
 use crate::choose::{Choice, choose};
 use crate::error::MapError;
-use crate::evidence::Criterion;
 use crate::identifiability::{IdentifiabilityReport, identify};
 use crate::region::{DEFAULT_MARGIN, ValidRegion};
 use crate::released;
@@ -19,12 +18,8 @@ pub const MAX_PROCESS_READINGS: usize = 800;
 pub struct FitOptions {
     /// Candidates, simplest first.
     pub candidates: Vec<MapKind>,
-    /// What the hyperparameters maximise.
-    pub criterion: Criterion,
     /// The released code's map instead of the candidates.
     pub released: bool,
-    /// Margin of the valid region as a share of the readings' diameter.
-    pub margin: f64,
     /// Further points of the declared domain, pm.
     pub domain_pm: Vec<[f64; 2]>,
     /// Thin-plate radius, pm; none: the smallest safe one.
@@ -39,9 +34,7 @@ impl Default for FitOptions {
     fn default() -> Self {
         Self {
             candidates: MapKind::ALL.to_vec(),
-            criterion: Criterion::Evidence,
             released: false,
-            margin: DEFAULT_MARGIN,
             domain_pm: Vec::new(),
             radius_pm: None,
             labels: "unnamed".into(),
@@ -71,7 +64,7 @@ pub struct MapFit {
 /// A training set that cannot be used, a radius that is too small, or no candidate that can be fitted: [`MapError`].
 pub fn fit_map(training: &MapTraining, options: &FitOptions) -> Result<MapFit, MapError> {
     training.validate()?;
-    let valid_region = ValidRegion::new(&training.shifts_pm, &options.domain_pm, options.margin);
+    let valid_region = ValidRegion::new(&training.shifts_pm, &options.domain_pm, DEFAULT_MARGIN);
     let (centre_pm, scale_pm, offset_nmm) = if options.released {
         ([released::SHIFT_OFFSET_PM; 2], released::SHIFT_SCALE_PM, released::MOMENT_OFFSET_NMM)
     } else {
@@ -131,12 +124,7 @@ fn fit_all(
             skipped.push((candidate.name(), why));
             continue;
         }
-        let recipe = Searched {
-            candidate: *candidate,
-            criterion: options.criterion,
-            diameter: scaled.diameter,
-            radius: scaled.radius,
-        };
+        let recipe = Searched { candidate: *candidate, diameter: scaled.diameter, radius: scaled.radius };
         match fit_candidate(candidate.name(), &recipe, &scaled, training) {
             Ok(fit) => candidates.push(fit),
             Err(why) => skipped.push((candidate.name(), why.to_string())),

@@ -1,8 +1,6 @@
 //! How well the wavelengths determine each moment.
 //!
-//! Affine law of the shifts: s = z + K m + e, cov(e) = R, by least squares. A reading's scatter R is worth K^-1 R K^-T in the moment; its
-//! diagonal gives the standard deviations. Condition of K: ratio of its singular values. What moment m alone moves, the other's direction
-//! taken out: 1 / |row m of K^-1|. Explained share: 1 - RMSE_loo^2 / var(labels). Source: G. Golub & C. Van Loan, "Matrix Computations"
+//! Affine law of the shifts: s = z + K m + e, by least squares. Condition of K: ratio of its singular values. Explained share: 1 - RMSE_loo^2 / var(labels). Source: G. Golub & C. Van Loan, "Matrix Computations"
 //! (2013), sec. 2.6 and 5.3; G. Seber & A. Lee, "Linear Regression Analysis" (2003), ch. 3.
 
 use crate::error::MapError;
@@ -59,14 +57,6 @@ pub struct IdentifiabilityReport {
     pub condition: f64,
     /// Singular values of K, pm per N mm, largest first.
     pub singular_pm_per_nmm: [f64; 2],
-    /// Singular values of K with shifts in residual deviations and moments in label deviations: signal over noise, largest first.
-    pub singular_scaled: [f64; 2],
-    /// What each moment alone moves, the other one's direction taken out, pm per N mm.
-    pub own_pm_per_nmm: [f64; 2],
-    /// Deviation of each moment inferred from one reading, from the law's residuals, N mm.
-    pub scatter_nmm: [f64; 2],
-    /// The part of it that the readings' own noise explains, N mm; none where that noise is unknown.
-    pub noise_nmm: Option<[f64; 2]>,
     /// Standard deviation of each moment's labels, N mm.
     pub label_sd_nmm: [f64; 2],
     /// Share of each moment's variance that the chosen map explains when a reading is left out.
@@ -84,30 +74,19 @@ pub struct IdentifiabilityReport {
 /// # Errors
 /// [`MapError::RankDeficient`] where the labels lie on a line.
 pub fn identify(training: &MapTraining, loo_rmse_nmm: [f64; 2]) -> Result<IdentifiabilityReport, MapError> {
-    let (law, residual) = fit_law(training)?;
-    let k = Matrix2::from_fn(|i, j| law.k_pm_per_nmm[i][j]);
-    let singular = sorted_singular(&k);
+    let law = fit_law(training)?;
+    let singular = Matrix2::from_fn(|i, j| law.k_pm_per_nmm[i][j]).singular_values();
+    let singular = [singular.max(), singular.min()];
     let label_sd_nmm = covariance(&training.moments_nmm).diagonal().map(f64::sqrt);
-    let scaled = Matrix2::from_fn(|i, j| k[(i, j)] * label_sd_nmm[j] / law.residual_sd_pm[i].max(1e-9));
-    // K^-1 carries scatter of the readings to scatter of the inferred moment.
-    let inverse = k.try_inverse().unwrap_or_else(|| Matrix2::from_element(f64::INFINITY));
-    let to_moment = |c: &Matrix2<f64>| (inverse * c * inverse.transpose()).diagonal().map(f64::sqrt);
-    let noise =
-        training.noise_sd_pm.map(|sd| to_moment(&Matrix2::new(sd[0].powi(2), 0.0, 0.0, sd[1].powi(2))));
     // Principal deviations of the cloud: readings on a line say nothing across it.
     let cloud = covariance(&training.shifts_pm).symmetric_eigenvalues().map(|v| v.max(0.0).sqrt());
     let cloud_sd_pm = [cloud.max(), cloud.min()];
     // In label units: a map no better than the labels' mean explains nothing.
     let explained = [0, 1].map(|m| 1.0 - (loo_rmse_nmm[m] / label_sd_nmm[m].max(1e-12)).powi(2));
-    let own = [0, 1].map(|m| 1.0 / inverse.row(m).norm());
     let mut report = IdentifiabilityReport {
         law,
         condition: singular[0] / singular[1],
         singular_pm_per_nmm: singular,
-        singular_scaled: sorted_singular(&scaled),
-        own_pm_per_nmm: own,
-        scatter_nmm: to_moment(&residual).into(),
-        noise_nmm: noise.map(Into::into),
         label_sd_nmm: label_sd_nmm.into(),
         explained,
         cloud_sd_pm,
@@ -124,36 +103,12 @@ fn sentences(r: &IdentifiabilityReport, loo_rmse_nmm: [f64; 2]) -> Vec<String> {
         if r.explained[m] >= EXPLAINED_ENOUGH {
             continue;
         }
-        let other = 1 - m;
-        let weak = if r.own_pm_per_nmm[m] < r.own_pm_per_nmm[other] {
-            format!(
-                "Part of the cause is the sensor: this moment alone moves the gratings by {:.0} pm per N mm, the other one by {:.0}.",
-                r.own_pm_per_nmm[m], r.own_pm_per_nmm[other]
-            )
-        } else {
-            format!(
-                "The sensor is not the cause: this moment alone moves the gratings by {:.0} pm per N mm, the other one by {:.0}.",
-                r.own_pm_per_nmm[m], r.own_pm_per_nmm[other]
-            )
-        };
-        let noise = match r.noise_nmm {
-            Some(noise) => format!(
-                "The readings' own noise is worth {:.3} N mm of it, so labels or model carry the rest.",
-                noise[m]
-            ),
-            None => "The readings' own noise is unknown here.".into(),
-        };
         out.push(format!(
-            "The {ordinal} moment is barely determined by these readings and labels: left out, it is predicted to \
-             {:.2} N mm rms while its labels spread by only {:.2} N mm ({:.0} % of their variance explained). {weak} \
-             The wavelengths scatter about their best affine law by {:.1} and {:.1} pm, which is worth {:.2} N mm of this \
-             moment. {noise} Wrong labels look the same as a deaf sensor: check the twin (wcal verify) before trusting this moment.",
+            "The {ordinal} moment is barely determined by these readings and labels: left out, it is predicted to {:.2} N mm rms while its labels \
+             spread by only {:.2} N mm ({:.0} % of their variance explained): check the twin (wcal verify) before trusting it.",
             loo_rmse_nmm[m],
             r.label_sd_nmm[m],
             100.0 * r.explained[m].max(0.0),
-            r.law.residual_sd_pm[0],
-            r.law.residual_sd_pm[1],
-            r.scatter_nmm[m],
         ));
     }
     if r.condition > CONDITION_LIMIT {
@@ -173,8 +128,8 @@ fn sentences(r: &IdentifiabilityReport, loo_rmse_nmm: [f64; 2]) -> Vec<String> {
     out
 }
 
-/// Least squares of both shifts on (1, m_1, m_2), with the residual covariance (pm^2).
-fn fit_law(training: &MapTraining) -> Result<(WavelengthFromMoment, Matrix2<f64>), MapError> {
+/// Least squares of both shifts on (1, m_1, m_2).
+fn fit_law(training: &MapTraining) -> Result<WavelengthFromMoment, MapError> {
     let n = training.len();
     let deficient = MapError::RankDeficient { trend: "affine wavelength-from-moment", readings: n };
     let h = DMatrix::from_fn(n, 3, |i, j| if j == 0 { 1.0 } else { training.moments_nmm[i][j - 1] });
@@ -186,18 +141,12 @@ fn fit_law(training: &MapTraining) -> Result<(WavelengthFromMoment, Matrix2<f64>
     }
     let b = svd.solve(&y, 0.0).map_err(|_| deficient)?;
     let e = y - h * &b;
-    let residual = Matrix2::from_fn(|i, j| e.column(i).dot(&e.column(j)) / (n as f64 - 3.0));
-    let law = WavelengthFromMoment {
+    let sd_pm = |g: usize| (e.column(g).norm_squared() / (n as f64 - 3.0)).sqrt();
+    Ok(WavelengthFromMoment {
         zero_pm: [b[(0, 0)], b[(0, 1)]],
         k_pm_per_nmm: [[b[(1, 0)], b[(2, 0)]], [b[(1, 1)], b[(2, 1)]]],
-        residual_sd_pm: [residual[(0, 0)].sqrt(), residual[(1, 1)].sqrt()],
-    };
-    Ok((law, residual))
-}
-
-fn sorted_singular(m: &Matrix2<f64>) -> [f64; 2] {
-    let s = m.singular_values();
-    [s.max(), s.min()]
+        residual_sd_pm: [sd_pm(0), sd_pm(1)],
+    })
 }
 
 /// Covariance with divisor n: deviations next to the root mean square errors.

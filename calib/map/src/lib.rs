@@ -34,7 +34,7 @@ pub use candidate::{CandidateFit, LeftOutSummary, MapKind, Scaled};
 pub use choose::{Choice, choose};
 pub use document::document;
 pub use error::MapError;
-pub use evidence::{Criterion, ShapeSearch, choose_hyperparameters, log_evidence};
+pub use evidence::{ShapeSearch, choose_hyperparameters, log_evidence};
 pub use fit::{FitOptions, MAX_PROCESS_READINGS, MapFit, fit_map};
 pub use gaussian::ConditionedProcess;
 pub use identifiability::{IdentifiabilityReport, WavelengthFromMoment, identify};

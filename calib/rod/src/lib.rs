@@ -34,6 +34,6 @@ pub use kirchhoff::integrate;
 pub use kirchhoff::solve::{
     Equilibrium, Failure, Guess, Rod, Tangential, WORKING_STEP_MM, interpolated_point,
 };
-pub use kirchhoff::stability::{Hold, Loss, LossKind, StabilityScan};
+pub use kirchhoff::stability::Hold;
 pub use material::{Section, Softening};
 pub use shape::Shape;

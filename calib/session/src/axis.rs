@@ -62,6 +62,7 @@ pub(crate) fn read_rows(
     unit_mismatch(name, &rows)?;
     screen(name, &names, &mut rows, reference, warnings)?;
     warnings.extend(Clock::of(rows.iter().map(|r| (r.line, r.t_s))).warning(name));
+    warnings.extend(table.open_end());
     Ok((rows, table.finish()?))
 }
 

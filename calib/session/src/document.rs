@@ -22,6 +22,11 @@ impl<'a> Section<'a> {
         Self { file, path: String::new(), table, known: RefCell::default() }
     }
 
+    /// The document's name.
+    pub(crate) fn file(&self) -> &str {
+        self.file
+    }
+
     fn name(&self, key: &str) -> String {
         if self.path.is_empty() { key.to_owned() } else { format!("{}.{key}", self.path) }
     }

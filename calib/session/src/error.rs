@@ -2,7 +2,8 @@
 
 use std::fmt;
 use std::path::{Path, PathBuf};
-use wcal_core::text::NotUtf8;
+use wcal_core::ranges::OutOfRange;
+use wcal_core::text::{NotUtf8, brief};
 
 /// An error of a file's content, located as closely as possible.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -41,10 +42,16 @@ impl InputError {
             file: file.to_owned(),
             line: None,
             field: None,
-            expected: expected.into(),
-            found: found.into(),
+            expected: brief(&expected.into()),
+            found: brief(&found.into()),
             hint: None,
         }))
+    }
+
+    /// A number of a file that its key or column cannot have.
+    #[must_use]
+    pub fn range(file: &str, error: OutOfRange) -> Self {
+        Self::new(file, error.expected, error.found).field(error.key)
     }
 
     /// Adds the line (header = 1).
@@ -57,14 +64,14 @@ impl InputError {
     /// Adds the column or key.
     #[must_use]
     pub fn field(mut self, field: impl Into<String>) -> Self {
-        self.0.field = Some(field.into());
+        self.0.field = Some(brief(&field.into()));
         self
     }
 
     /// Adds what to do about it.
     #[must_use]
     pub fn hint(mut self, hint: impl Into<String>) -> Self {
-        self.0.hint = Some(hint.into());
+        self.0.hint = Some(brief(&hint.into()));
         self
     }
 }
@@ -114,7 +121,7 @@ pub(crate) fn listed(columns: &[String]) -> String {
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
     /// The file system said no.
-    #[error("{action} {}: {source}", path.display())]
+    #[error("{action} {}: {source}", brief(&path.display().to_string()))]
     Io {
         /// What was being done, e.g. `reading`.
         action: &'static str,

@@ -1,16 +1,14 @@
 //! Rows of a whisker's table that are no readings: an instrument's overflow value, or a copy of an earlier row.
 
+use crate::copies::repeated;
 use crate::error::{InputError, SessionError};
-use crate::overflow::{ColumnSource, codes, refuse_most};
+use crate::overflow::{codes, refuse_most};
 use crate::row::Column;
 use crate::row::Row;
 use crate::table::Table;
 use crate::warning::{SessionWarning, WarningKind};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
-
-/// Rows of a block that repeats an earlier one without a clock: rounded readings agree now and then, so many in a row do not.
-const MIN_BLOCK: usize = 6;
 
 /// Rows that hold one code in one column.
 #[derive(Default)]
@@ -41,8 +39,7 @@ impl LeftOut {
                 values.extend(row.number(Some(*column))?);
             }
         }
-        let of =
-            |(column, values): (Column, Vec<f64>)| (column, codes(&values, ColumnSource::Reading, |_| None));
+        let of = |(column, values): (Column, Vec<f64>)| (column, codes(&values, false));
         let codes = columns.into_iter().zip(values).map(of).collect();
         Ok(Self { codes, overflowed: BTreeMap::new(), seen: HashMap::new(), repeats: Vec::new() })
     }
@@ -86,20 +83,7 @@ impl LeftOut {
 
     /// Places of the rows that are copies: those beyond doubt, and blocks of rows that follow each other as an earlier block does.
     pub(crate) fn copies(&self) -> Vec<usize> {
-        let mut copies = Vec::new();
-        let mut start = 0;
-        while start < self.repeats.len() {
-            let Some(first) = self.repeats[start].0 else {
-                start += 1;
-                continue;
-            };
-            let follows = |k: usize| self.repeats.get(start + k).is_some_and(|r| r.0 == Some(first + k));
-            let length = (1..).find(|k| !follows(*k)).unwrap_or(1);
-            let block = length >= MIN_BLOCK;
-            copies.extend((start..start + length).filter(|&k| block || self.repeats[k].1));
-            start += length;
-        }
-        copies
+        repeated(&self.repeats)
     }
 
     /// Warnings of what was left out: `copies` are lines and points of the copied rows, `rows` stay. An error where most rows of the table hold

@@ -5,6 +5,7 @@
 //! deserves attention is a warning in [`LoadedSession::warnings`].
 
 mod axis;
+mod columns;
 mod copies;
 mod document;
 mod edit;
@@ -28,13 +29,15 @@ mod whisker_checks;
 mod whisker_meta;
 mod write;
 
+pub use columns::{MAX_COLUMNS, column_range, judge_cell};
 pub use edit::set_entries;
 pub use error::{InputError, InputErrorFields, SessionError};
-pub use findings::{Finding, Severity, duplicated_readings, examine};
+pub use findings::{Finding, Severity, examine};
 pub use holdout::{add_session, attach_holdout};
 pub use session::{LoadedSession, SESSION_FORMAT, load};
 pub use table::SIMULATED_COLUMN;
 pub use text_table::{Separator, TextTable, TextTableLayout, read_text_table};
 pub use warning::{SessionWarning, WarningKind};
 pub use whisker::{ReadingTable, WHISKER_COLUMNS, load_table};
+pub use whisker_meta::check_wire;
 pub use write::{SessionFiles, write_session};

@@ -4,6 +4,7 @@ use crate::error::{InputError, not_utf8_table, quote};
 use crate::warning::{SessionWarning, WarningKind};
 use csv::ByteRecord;
 use wcal_core::Role;
+use wcal_core::ranges::Range;
 use wcal_core::text::LATIN_1;
 
 /// A column that was found.
@@ -18,10 +19,14 @@ pub(crate) struct Row<'a> {
     pub(crate) file: &'a str,
     pub(crate) line: usize,
     pub(crate) columns: &'a [String],
+    pub(crate) ranges: &'a [&'static Range],
     pub(crate) record: &'a ByteRecord,
 }
 
 type Outcome<T> = Result<T, InputError>;
+
+/// Largest number of a point.
+const MAX_POINT: i64 = 1 << 53;
 
 impl Row<'_> {
     /// An error of this row's cell in column `field`.
@@ -49,7 +54,10 @@ impl Row<'_> {
             return Ok(None);
         }
         match text.parse::<f64>() {
-            Ok(value) if value.is_finite() => Ok(Some(value)),
+            Ok(value) if value.is_finite() => match self.ranges[index].judge(name, value, true) {
+                Ok(()) => Ok(Some(value)),
+                Err(e) => Err(InputError::range(self.file, e).at(self.line)),
+            },
             Ok(_) => Err(self.error(name, "a finite number", quote(text))),
             Err(_) if text.contains(',') => {
                 Err(self.error(name, "a number", quote(text)).hint("decimals are written with a dot"))
@@ -94,7 +102,8 @@ impl Row<'_> {
         match value {
             Some(v) if (low..=high).contains(&v) => Ok(Some(v)),
             Some(v) => {
-                Err(self.error(column.name, format!("a whole number of at least {low}"), format!("{v}")))
+                let end = if v < low { format!("at least {low}") } else { format!("at most {high}") };
+                Err(self.error(column.name, format!("a whole number of {end}"), format!("{v}")))
             }
             None => Err(self.error(column.name, "a whole number", quote(text))),
         }
@@ -108,7 +117,8 @@ impl Row<'_> {
 
     /// Point number, which must be there.
     pub(crate) fn point(&self, column: Column) -> Outcome<i64> {
-        let value = self.whole(Some(column), i64::MIN, i64::MAX)?;
+        // Beyond this a table's numbers, read as 64-bit floats elsewhere, are no longer told apart.
+        let value = self.whole(Some(column), -MAX_POINT, MAX_POINT)?;
         value.ok_or_else(|| self.error(column.name, "a whole number", "nothing"))
     }
 

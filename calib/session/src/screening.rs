@@ -1,10 +1,10 @@
-//! What is checked of a scalar table as a whole, once its rows are read: overflow codes, copies, the direction against the moves, the clock.
+//! What is checked of a scalar table as a whole, once its rows are read: overflow codes, copies, the direction against the moves.
 //! Rows without a value of their own are left out and counted in a warning; what contradicts itself is an error that names the way out.
 
 use crate::copies::{self, copies};
 use crate::error::InputError;
-use crate::overflow::{ColumnSource, codes, line_at, refuse_most};
-use crate::sequence::{Step, contradicted_direction, standing_clock};
+use crate::overflow::{codes, refuse_most};
+use crate::sequence::{Step, contradicted_direction};
 use crate::warning::{SessionWarning, WarningKind};
 use wcal_core::Role;
 
@@ -88,44 +88,35 @@ struct Overflow {
 
 /// Overflow codes of every column.
 fn overflows(names: &Names<'_>, views: &[View], beside: &[View]) -> Vec<Overflow> {
-    let all = || views.iter().chain(beside);
-    let pairs: Vec<(f64, f64)> = all().map(|v| (v.setting, v.reading)).collect();
     let mut out = Vec::new();
-    let mut add = |column: &str, kind: ColumnSource, value: &dyn Fn(&View) -> Option<f64>| {
-        let values: Vec<f64> = all().filter_map(value).collect();
-        // Of a reading: what its setting lets expect, where it is in line with that best.
-        let expected = |code: f64| -> Option<f64> {
-            let own = all().filter(|v| column == names.reading && value(v) == Some(code));
-            own.filter_map(|v| line_at(&pairs, v.setting))
-                .min_by(|a, b| (a - code).abs().total_cmp(&(b - code).abs()))
-        };
-        for code in codes(&values, kind, expected) {
+    let mut add = |column: &str, set: bool, value: &dyn Fn(&View) -> Option<f64>| {
+        let values: Vec<f64> = views.iter().chain(beside).filter_map(value).collect();
+        for code in codes(&values, set) {
             let rows: Vec<usize> = (0..views.len()).filter(|&k| value(&views[k]) == Some(code)).collect();
             if !rows.is_empty() {
                 out.push(Overflow { column: column.to_owned(), value: code, rows });
             }
         }
     };
-    add(names.setting, ColumnSource::Setting, &|v| Some(v.setting));
-    add(names.reading, ColumnSource::Reading, &|v| Some(v.reading));
-    add("temperature_degc", ColumnSource::Reading, &|v| v.temperature_degc);
+    add(names.setting, true, &|v| Some(v.setting));
+    add(names.reading, false, &|v| Some(v.reading));
+    add("temperature_degc", false, &|v| v.temperature_degc);
     for (k, name) in names.more.iter().enumerate() {
-        add(name, ColumnSource::Reading, &|v| v.more.get(k).copied());
+        add(name, false, &|v| v.more.get(k).copied());
     }
     out
 }
 
 fn compared(view: &View) -> copies::Row {
     copies::Row {
-        setting: view.setting,
-        direction: view.direction.unwrap_or(0.0),
+        setting: [view.setting, view.direction.unwrap_or(0.0)],
         reading: view.reading,
         t_s: view.t_s,
         more: view.more.iter().copied().chain(view.temperature_degc).collect(),
     }
 }
 
-/// Temperatures, directions and times of the rows that stay.
+/// Temperatures, directions and clock of the rows that stay.
 fn consistent(file: &str, names: &Names<'_>, views: &[&View]) -> Result<(), InputError> {
     let kelvin = |t: f64| !(-60.0..=200.0).contains(&t);
     if let Some(v) = views.iter().find(|v| v.temperature_degc.is_some_and(kelvin)) {
@@ -136,10 +127,12 @@ fn consistent(file: &str, names: &Names<'_>, views: &[&View]) -> Result<(), Inpu
             .field("temperature_degc")
             .hint("kelvin?"));
     }
-    let steps: Vec<Step> = views
-        .iter()
-        .map(|v| Step { line: v.line, x: v.setting, direction: v.direction, t_s: v.t_s })
-        .collect();
-    let against = contradicted_direction(file, names.setting, &steps);
-    against.or_else(|| standing_clock(file, &steps)).map_or(Ok(()), Err)
+    let first = views.first().filter(|v| views.len() > 1 && v.t_s.is_some());
+    if let Some(v) = first.filter(|first| views.iter().all(|v| v.t_s == first.t_s)) {
+        let found = format!("t_s {} in all {} rows", v.t_s.unwrap_or_default(), views.len());
+        let error = InputError::new(file, "a time that runs", found).at(v.line).field("t_s");
+        return Err(error.hint("leave --time out at import: the order of the rows then stands for it"));
+    }
+    let steps: Vec<Step> = views.iter().map(|v| (v.line, v.setting, v.direction)).collect();
+    contradicted_direction(file, names.setting, &steps).map_or(Ok(()), Err)
 }

@@ -7,9 +7,10 @@ use crate::warning::{SessionWarning, WarningKind};
 use crate::whisker::{self, ColumnRequirement};
 use crate::{axis, transducer, whisker_checks, whisker_meta};
 use std::path::{Component, Path, PathBuf};
+use wcal_core::files::{MAX_DOCUMENT_BYTES, read_within};
 use wcal_core::format::is_newer;
 use wcal_core::provenance::sha256_hex;
-use wcal_core::ranges::{self, OutOfRange};
+use wcal_core::ranges;
 use wcal_core::{
     AxisData, AxisRow, InputFile, Purpose, Role, Sealed, SessionData, SessionKind, TransducerData,
     WhiskerData, WhiskerRow,
@@ -71,12 +72,11 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
     }
     const NAME: &str = "session.toml";
     let path = folder.join(NAME);
-    let bytes = wcal_core::files::read(&path).map_err(|e| SessionError::io("reading", &path, e))?;
+    let bytes = read_within(&path, MAX_DOCUMENT_BYTES).map_err(|e| SessionError::io("reading", &path, e))?;
     let meta = document::parse(NAME, &bytes)?;
     let root = Section::root(NAME, &meta);
     check_format(&root)?;
-    let wrong = |e: OutOfRange| InputError::new(NAME, e.expected, e.found).field(e.key);
-    ranges::check(&meta, &[whisker_meta::SESSION_RANGES]).map_err(wrong)?;
+    ranges::check(&meta, &[whisker_meta::SESSION_RANGES]).map_err(|e| InputError::range(NAME, e))?;
     let mut warnings = Vec::new();
     let mut inputs =
         vec![InputFile { path: NAME.to_owned(), sha256: sha256_hex(&bytes), purpose: Purpose::Description }];
@@ -232,8 +232,10 @@ fn pictures_folder(section: &Section<'_>, folder: &Path) -> Result<Option<PathBu
 /// Why a name in `[files]` is none of a file in the folder: a session that was handed on must not read anything else of this computer.
 /// A file that is not there is no matter of this check.
 fn outside(folder: &Path, name: &str) -> Option<String> {
+    /// Longest name that a file system takes, bytes.
+    const LONGEST: usize = 255;
     let plain = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
-    if name.is_empty() || !Path::new(name).components().all(plain) {
+    if name.is_empty() || name.len() > LONGEST || !Path::new(name).components().all(plain) {
         return Some(quote(name));
     }
     let path = folder.join(name);

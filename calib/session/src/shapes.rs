@@ -5,7 +5,7 @@
 //! that is no shapes.json is an error.
 
 use crate::error::{InputError, SessionError, quote};
-use nalgebra::{DMatrix, Matrix3};
+use nalgebra::Matrix3;
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -181,16 +181,8 @@ fn no_covariance(covariance: &[Vec<f64>], shared: usize) -> Option<String> {
     if shared == 0 {
         return None;
     }
-    // Correlations: pixels and radians differ by orders of magnitude. A parameter without variance is taken as known.
-    let sd: Vec<f64> = (0..shared).map(|i| covariance[i][i].sqrt()).collect();
-    let correlation = DMatrix::from_fn(shared, shared, |i, j| match sd[i] * sd[j] {
-        scale if scale > 0.0 => covariance[i][j] / scale,
-        scale => scale,
-    });
-    let numbers = correlation.iter().chain(&sd).all(|v| v.is_finite() && v.abs() <= MAX_DERIVATIVE);
-    let symmetric = numbers && (&correlation - correlation.transpose()).amax() <= ROUNDING;
-    let positive = symmetric && correlation.symmetric_eigenvalues().iter().all(|v| *v >= -ROUNDING);
-    (!positive).then(|| "shared_covariance is no covariance".to_owned())
+    let wrong = wcal_core::covariance::check(covariance, shared).err();
+    wrong.map(|why| format!("shared_covariance is no covariance: {why}"))
 }
 
 /// Why a pair cannot be used with the wavelengths; none where it can.

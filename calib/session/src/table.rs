@@ -1,22 +1,22 @@
 //! CSV tables: streamed, hashed while read, every cell known by file, line and column.
 
+use crate::columns::{MAX_COLUMNS, column_range};
 use crate::error::{InputError, SessionError, listed, not_utf8_table, quote};
 use crate::row::{Column, Row};
 use crate::units::split_unit;
+use crate::warning::{SessionWarning, WarningKind};
 use csv::ByteRecord;
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
+use wcal_core::ranges::Range;
 use wcal_core::text::{LATIN_1, other_than_text};
 use wcal_core::{InputFile, Purpose};
 
 /// Longest line that is read, bytes: what is longer was never written as a table.
 const MAX_LINE: u64 = 1 << 22;
-/// Most columns of a table.
-const MAX_COLUMNS: usize = 10_000;
-
 /// Names of a scalar table's column that groups its readings where it counts no repetitions.
 const GROUPS: [&str; 3] = ["run", "pose", "day"];
 
@@ -27,6 +27,7 @@ pub const SIMULATED_COLUMN: &str = "simulated";
 pub(crate) struct Table {
     file: String,
     columns: Vec<String>,
+    ranges: Vec<&'static Range>,
     used: Vec<bool>,
     lines: Lines,
     record: ByteRecord,
@@ -45,14 +46,18 @@ impl Table {
         if let Some(other) = other {
             return Err(not_utf8_table(name, other).into());
         }
-        let mut lines = Lines { file, digest: Sha256::new(), text: Vec::new(), line: 0 };
-        let mut record = ByteRecord::new();
-        if !lines.next_record(&mut record).map_err(|e| SessionError::io("reading", path, e))? {
+        let mut lines = Lines { file, digest: Sha256::new(), text: Vec::new(), line: 0, open_end: false };
+        let io = |e| SessionError::io("reading", path, e);
+        if !lines.next_line().map_err(io)? {
             return Err(InputError::new(name, "a header line and rows", "an empty file").into());
         }
+        let mut record = ByteRecord::new();
+        check_columns(name, 1, fields(&lines.text, b','))?;
+        split_line(lines.text.trim_ascii_end(), b',', &mut record);
         let columns = header(name, &record)?;
         let used = columns.iter().map(|c| c == SIMULATED_COLUMN).collect();
-        Ok(Self { file: name.to_owned(), columns, used, lines, record, rows: 0 })
+        let ranges = columns.iter().map(|c| column_range(c)).collect();
+        Ok(Self { file: name.to_owned(), columns, ranges, used, lines, record, rows: 0 })
     }
 
     /// File name as used in messages.
@@ -136,16 +141,24 @@ impl Table {
 
     /// The next row, or none at the end.
     pub(crate) fn next_row(&mut self) -> Result<Option<Row<'_>>, SessionError> {
-        let more = self.lines.next_record(&mut self.record);
+        let more = self.lines.next_line();
         if !more.map_err(|e| SessionError::io("reading", Path::new(&self.file), e))? {
             return Ok(None);
         }
+        split_line(self.lines.text.trim_ascii_end(), b',', &mut self.record);
         let line = self.lines.line;
         if self.record.len() != self.columns.len() {
             return Err(self.wrong_width(line).into());
         }
         self.rows += 1;
-        Ok(Some(Row { file: &self.file, line, columns: &self.columns, record: &self.record }))
+        let (file, columns, ranges) = (self.file.as_str(), &self.columns, &self.ranges);
+        Ok(Some(Row { file, line, columns, ranges, record: &self.record }))
+    }
+
+    /// Of a table that was read to its end: whether its last row is without the end of its line.
+    pub(crate) fn open_end(&self) -> Option<SessionWarning> {
+        let kind = WarningKind::OpenEnd { line: self.lines.line };
+        self.lines.open_end.then(|| SessionWarning::new(&self.file, kind))
     }
 
     fn wrong_width(&self, line: usize) -> InputError {
@@ -170,11 +183,20 @@ impl Table {
     }
 }
 
-fn header(name: &str, record: &ByteRecord) -> Result<Vec<String>, InputError> {
-    if record.len() > MAX_COLUMNS {
-        let expected = format!("at most {MAX_COLUMNS} columns");
-        return Err(InputError::new(name, expected, record.len().to_string()).at(1));
+/// Fields of a line, before anything is made of them; quoted separators count, too.
+pub(crate) fn fields(text: &[u8], separator: u8) -> usize {
+    1 + text.iter().filter(|byte| **byte == separator).count()
+}
+
+/// Refuses a line of more columns than a table has.
+pub(crate) fn check_columns(name: &str, line: usize, columns: usize) -> Result<(), InputError> {
+    if columns <= MAX_COLUMNS {
+        return Ok(());
     }
+    Err(InputError::new(name, format!("at most {MAX_COLUMNS} columns"), columns.to_string()).at(line))
+}
+
+fn header(name: &str, record: &ByteRecord) -> Result<Vec<String>, InputError> {
     let mut columns: Vec<String> = Vec::with_capacity(record.len());
     for field in record {
         let text = std::str::from_utf8(field).map_err(|_| not_utf8_table(name, LATIN_1).at(1))?;
@@ -217,14 +239,17 @@ fn missing_is_a_defect(path: &Path, name: &str, error: std::io::Error) -> Sessio
 struct Lines {
     file: BufReader<File>,
     digest: Sha256,
+    /// The latest line that is not blank.
     text: Vec<u8>,
-    /// Line of the latest record, from 1.
+    /// Its number, from 1.
     line: usize,
+    /// The file ends within it.
+    open_end: bool,
 }
 
 impl Lines {
-    /// The next line that is not blank, split at its commas; false at the end of the file.
-    fn next_record(&mut self, record: &mut ByteRecord) -> std::io::Result<bool> {
+    /// The next line that is not blank; false at the end of the file.
+    fn next_line(&mut self) -> std::io::Result<bool> {
         loop {
             self.text.clear();
             let read = (&mut self.file).take(MAX_LINE + 1).read_until(b'\n', &mut self.text)?;
@@ -247,7 +272,7 @@ impl Lines {
                 return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, found));
             }
             if !text.is_empty() {
-                split_line(text, b',', record);
+                self.open_end = self.text.last() != Some(&b'\n');
                 return Ok(true);
             }
         }

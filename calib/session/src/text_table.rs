@@ -1,7 +1,9 @@
 //! Foreign tables for import: CSV, semicolons, tabs or columns of text after some header lines.
 
+use crate::columns::judge_cell;
 use crate::error::{InputError, SessionError, listed, not_utf8, quote};
-use crate::table::split_line;
+use crate::table::{check_columns, fields, split_line};
+use crate::warning::{SessionWarning, WarningKind};
 use std::path::Path;
 use wcal_core::provenance::sha256_hex;
 use wcal_core::text::decoded;
@@ -58,6 +60,8 @@ pub struct TextTable {
     pub rows: Vec<(usize, Vec<String>)>,
     /// Its encoding, where that is not UTF-8.
     pub encoding: Option<&'static str>,
+    /// The file ends within its last row.
+    open_end: bool,
     decimal_comma: bool,
     /// The separator that its lines have in place of the stated one.
     hint: Option<String>,
@@ -77,22 +81,38 @@ pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTabl
     }
     let start = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum::<usize>();
     let text = &text[start..];
-    let mut records = split(text, layout.separator, layout.skip_lines).into_iter();
+    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let mut record = csv::ByteRecord::new();
+    let mut next = || -> Result<Option<(usize, Vec<String>)>, InputError> {
+        let Some((index, line)) = lines.next() else { return Ok(None) };
+        let number = layout.skip_lines + index + 1;
+        Ok(Some((number, split(&file, (number, line), layout.separator, &mut record)?)))
+    };
     let columns = match &layout.columns {
         Some(names) => names.clone(),
         None => {
-            let header = records.next().map(|(_, cells)| cells);
+            let header = next()?.map(|(_, cells)| cells);
             header.ok_or_else(|| {
                 InputError::new(&file, "a header line and rows", "nothing after the skipped lines")
             })?
         }
     };
-    let rows: Vec<_> = records.collect();
     let hint = other_separator(text, layout.separator);
-    let decimal_comma = layout.decimal_comma;
-    let table = TextTable { file, sha256, columns, rows, encoding, decimal_comma, hint };
-    table.check_widths()?;
-    Ok(table)
+    let mut rows = Vec::new();
+    while let Some((line, cells)) = next()? {
+        if cells.len() != columns.len() {
+            let expected = format!("{} fields ({})", columns.len(), listed(&columns));
+            let error = InputError::new(&file, expected, format!("{} fields", cells.len())).at(line);
+            let usual = "check the separator, the lines to skip and the column names";
+            return Err(error.hint(hint.as_deref().unwrap_or(usual)).into());
+        }
+        rows.push((line, cells));
+    }
+    if rows.is_empty() {
+        return Err(InputError::new(&file, "at least one row", "an empty table").into());
+    }
+    let (open_end, decimal_comma) = (!text.ends_with('\n'), layout.decimal_comma);
+    Ok(TextTable { file, sha256, columns, rows, encoding, open_end, decimal_comma, hint })
 }
 
 /// Another separator than the stated one, which stands equally often in every line while the stated one stands in none; in words.
@@ -120,25 +140,26 @@ fn is_decimal_comma(cell: &str) -> bool {
     cell.matches(',').count() == 1 && cell.replace(',', ".").parse::<f64>().is_ok()
 }
 
-fn split(text: &str, separator: Separator, skipped: usize) -> Vec<(usize, Vec<String>)> {
+/// Cells of a line, which are counted first.
+fn split(
+    file: &str,
+    (number, line): (usize, &str),
+    separator: Separator,
+    record: &mut csv::ByteRecord,
+) -> Result<Vec<String>, InputError> {
     let delimiter = match separator {
         Separator::Whitespace => {
-            let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-            let cells = |line: &str| line.split_whitespace().map(str::to_owned).collect();
-            return lines.map(|(i, line)| (skipped + i + 1, cells(line))).collect();
+            let cells = line.split_whitespace();
+            check_columns(file, number, cells.clone().count())?;
+            return Ok(cells.map(str::to_owned).collect());
         }
         Separator::Comma => b',',
         Separator::Semicolon => b';',
         Separator::Tab => b'\t',
     };
-    let mut record = csv::ByteRecord::new();
-    let mut out = Vec::new();
-    for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-        split_line(line.as_bytes(), delimiter, &mut record);
-        let cells = record.iter().map(|cell| String::from_utf8_lossy(cell).trim().to_owned());
-        out.push((skipped + index + 1, cells.collect()));
-    }
-    out
+    check_columns(file, number, fields(line.as_bytes(), delimiter))?;
+    split_line(line.as_bytes(), delimiter, record);
+    Ok(record.iter().map(|cell| String::from_utf8_lossy(cell).trim().to_owned()).collect())
 }
 
 /// Digits in groups of three with dots between them, as 1.000 or 12.500.000.
@@ -150,21 +171,11 @@ fn grouped(text: &str) -> bool {
 }
 
 impl TextTable {
-    fn check_widths(&self) -> Result<(), InputError> {
-        if self.rows.is_empty() {
-            return Err(InputError::new(&self.file, "at least one row", "an empty table"));
-        }
-        let wanted = self.columns.len();
-        match self.rows.iter().find(|(_, cells)| cells.len() != wanted) {
-            Some((line, cells)) => {
-                let expected = format!("{wanted} fields ({})", listed(&self.columns));
-                let error =
-                    InputError::new(&self.file, expected, format!("{} fields", cells.len())).at(*line);
-                let usual = "check the separator, the lines to skip and the column names";
-                Err(error.hint(self.hint.as_deref().unwrap_or(usual)))
-            }
-            None => Ok(()),
-        }
+    /// What deserves attention: the file may have been cut off.
+    #[must_use]
+    pub fn warning(&self) -> Option<SessionWarning> {
+        let (line, _) = self.rows.last()?;
+        self.open_end.then(|| SessionWarning::new(&self.file, WarningKind::OpenEnd { line: *line }))
     }
 
     /// Index of a column; of several with one name and the same cells the first.
@@ -225,7 +236,7 @@ impl TextTable {
         Err(error.at(*line).field(name).hint(hint))
     }
 
-    /// Finite number in a cell; none when empty.
+    /// Finite number in a cell that its column may have; none when empty.
     ///
     /// # Errors
     /// Where the cell holds anything else.
@@ -253,7 +264,10 @@ impl TextTable {
         };
         let parsed = number.parse::<f64>();
         match parsed {
-            Ok(value) if value.is_finite() => Ok(Some(value)),
+            Ok(value) if value.is_finite() => match judge_cell(name, value) {
+                Ok(()) => Ok(Some(value)),
+                Err(e) => Err(InputError::range(&self.file, e).at(*line)),
+            },
             Ok(_) => Err(InputError::new(&self.file, "a finite number", quote(cell)).at(*line).field(name)),
             Err(_) => Err(InputError::new(&self.file, "a number", quote(cell)).at(*line).field(name)),
         }

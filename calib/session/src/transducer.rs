@@ -113,5 +113,6 @@ pub(crate) fn read_rows(
     let names = Names { setting: "stimulus", reading: "response", more: &covariates };
     screen(name, &names, &mut rows, reference, warnings)?;
     warnings.extend(Clock::of(rows.iter().map(|r| (r.line, r.t_s))).warning(name));
+    warnings.extend(table.open_end());
     Ok(TransducerTable { rows, covariates, input: table.finish()? })
 }

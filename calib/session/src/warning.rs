@@ -4,6 +4,7 @@ use serde::{Serialize, Serializer};
 use std::collections::BTreeMap;
 use std::fmt;
 use wcal_core::PairLeftOut;
+use wcal_core::text::brief;
 
 /// A warning about a file of the session.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,6 +46,11 @@ pub enum WarningKind {
         points: Vec<i64>,
         /// Rows of the table.
         of: usize,
+    },
+    /// The file ends within its last row, where a copy that was cut off would.
+    OpenEnd {
+        /// Line of the row.
+        line: usize,
     },
     /// A column that no reader knows.
     UnknownColumn(String),
@@ -159,17 +165,23 @@ impl fmt::Display for SessionWarning {
             ),
             WarningKind::Copied { lines, of, .. } => write!(
                 f,
-                "{file}: {} of {of} rows are copies of others (same digits where repeats scatter); counted once, left out: line(s) {}",
+                "{file}: {} of {of} rows are copies of others; counted once, left out: line(s) {}",
                 lines.len(),
                 named(lines)
             ),
+            WarningKind::OpenEnd { line } => write!(
+                f,
+                "{file}: the file ends within line {line}, without a line end: if it was cut off there, its last number may lack digits"
+            ),
             WarningKind::UnknownColumn(column) => {
-                write!(f, "{file}: column {column} is not known and not used")
+                write!(f, "{file}: column {} is not known and not used", brief(column))
             }
             WarningKind::ColumnWithoutNumbers(column) => {
-                write!(f, "{file}: column {column} holds no numbers and is not used")
+                write!(f, "{file}: column {} holds no numbers and is not used", brief(column))
             }
-            WarningKind::UnknownKey(key) => write!(f, "{file}: key {key} is not known and not used"),
+            WarningKind::UnknownKey(key) => {
+                write!(f, "{file}: key {} is not known and not used", brief(key))
+            }
             WarningKind::NoMedium => write!(f, "{file}: medium is not given; taken as \"air\""),
             WarningKind::NoRecording(name) => {
                 write!(f, "{file}: the recording {name} is not there; tables cannot be rebuilt from it")

@@ -240,6 +240,7 @@ pub(crate) fn read_rows(
         stuck(&rows).map(|column| SessionWarning::new(name, WarningKind::Stuck { column, rows: rows.len() })),
     );
     warnings.extend(clock.warning(name));
+    warnings.extend(table.open_end());
     let columns = table.present();
     Ok(ReadingTable { rows, input: table.finish()?, warnings, columns })
 }
@@ -439,6 +440,7 @@ pub(crate) fn read_twin(
         }
         labels.push(label);
     }
+    warnings.extend(table.open_end());
     let input = table.finish()?;
     if labels.len() < known.len() {
         let kind = WarningKind::Unlabelled { points: known.len() - labels.len(), of: known.len() };

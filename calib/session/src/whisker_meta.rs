@@ -39,10 +39,42 @@ pub(crate) fn read(
     shape_file: Option<&str>,
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<WhiskerMeta, SessionError> {
+    let mut inputs = Vec::new();
+    let (whisker, moments, fbg) = wire(root, folder, shape_file, &mut inputs, warnings)?;
+    let trajectories = trajectories(root, warnings)?;
+    Ok(WhiskerMeta { whisker, moments, fbg, trajectories, inputs })
+}
+
+/// Holds the tables `[whisker]`, `[moments]` and `[fbg]` of a rig, which a recorded session takes over as they are, against what a
+/// session may state; messages call the rig's file `file`.
+///
+/// # Errors
+/// The first key that no session could be read with.
+pub fn check_wire(
+    file: &str,
+    whisker: &toml::Table,
+    moments: Option<&toml::Table>,
+    fbg: &toml::Table,
+) -> Result<(), SessionError> {
+    let mut tables = toml::Table::new();
+    tables.insert("whisker".to_owned(), whisker.clone().into());
+    tables.extend(moments.map(|m| ("moments".to_owned(), m.clone().into())));
+    tables.insert("fbg".to_owned(), fbg.clone().into());
+    let root = Section::root(file, &tables);
+    wire(&root, Path::new(""), None, &mut Vec::new(), &mut Vec::new()).map(drop)
+}
+
+/// The wire, its moments and its gratings.
+fn wire(
+    root: &Section<'_>,
+    folder: &Path,
+    shape_file: Option<&str>,
+    inputs: &mut Vec<InputFile>,
+    warnings: &mut Vec<SessionWarning>,
+) -> Result<(WhiskerSpec, MomentAxes, FbgSpec), SessionError> {
     let section = root.section("whisker")?;
     let section = section.ok_or_else(|| root.error("whisker", "a table [whisker]", "nothing"))?;
-    let mut inputs = Vec::new();
-    let whisker = spec(&section, folder, shape_file, &mut inputs, warnings)?;
+    let whisker = spec(&section, folder, shape_file, inputs, warnings)?;
     warn_unknown(&section, warnings);
     let moments = match root.section("moments")? {
         Some(section) => {
@@ -60,8 +92,7 @@ pub(crate) fn read(
         }
         None => FbgSpec::default(),
     };
-    let trajectories = trajectories(root, warnings)?;
-    Ok(WhiskerMeta { whisker, moments, fbg, trajectories, inputs })
+    Ok((whisker, moments, fbg))
 }
 
 pub(crate) fn warn_unknown(section: &Section<'_>, warnings: &mut Vec<SessionWarning>) {
@@ -80,14 +111,16 @@ fn spec(
     let straight_mm = section.number("straight_mm")?;
     let arc_radius_mm = section.number("arc_radius_mm")?;
     let inline = section.vectors("rest_shape")?;
+    // Where the shape comes from, which is what a message about it names.
+    let shape_file = shape_file.filter(|_| inline.is_none());
     let polyline = match (inline, shape_file) {
         (Some(points), _) => Some(points),
-        (None, Some(name)) => Some(read_polyline(folder, name, inputs)?),
+        (None, Some(name)) => Some(read_polyline(folder, name, inputs, warnings)?),
         (None, None) => None,
     };
     let rest_shape = match polyline {
         Some(points) => {
-            let file = shape_file.unwrap_or("session.toml");
+            let file = shape_file.unwrap_or_else(|| section.file());
             check_polyline(file, &points)?;
             let polyline_mm: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
             if let Some(declared_mm) = length_mm.filter(|l| (l - polyline_mm).abs() > 0.01 * polyline_mm) {
@@ -109,6 +142,9 @@ fn spec(
     };
     // The shape's keys may stand in a table of their own; the last part is the name in the file.
     let wrong = |e: OutOfRange| {
+        if let Some(file) = shape_file.filter(|_| e.key.starts_with("rest_shape")) {
+            return InputError::new(file, e.expected, e.found).field(e.key);
+        }
         let key = e.key.rsplit('.').next().unwrap_or_default();
         section.error(key, e.expected, e.found).hint("check the unit in the key's name")
     };
@@ -135,6 +171,7 @@ fn read_polyline(
     folder: &Path,
     name: &str,
     inputs: &mut Vec<InputFile>,
+    warnings: &mut Vec<SessionWarning>,
 ) -> Result<Vec<Vector3<f64>>, SessionError> {
     let mut table = Table::open(&folder.join(name), name)?;
     let columns = [table.required("x_mm")?, table.required("y_mm")?, table.required("z_mm")?];
@@ -143,6 +180,7 @@ fn read_polyline(
         let [x, y, z] = columns;
         points.push(Vector3::new(row.required(x)?, row.required(y)?, row.required(z)?));
     }
+    warnings.extend(table.open_end());
     inputs.push(table.finish()?);
     Ok(points)
 }

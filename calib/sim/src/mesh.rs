@@ -6,7 +6,7 @@
 
 use crate::SimError;
 use crate::grid::Grid;
-use crate::stl::{MAX_TRIANGLES, Stl};
+use crate::stl::{MAX_BYTES, MAX_TRIANGLES, Stl};
 use nalgebra::{Matrix3, Vector3};
 use parry3d_f64::math::Vector as Place;
 use parry3d_f64::query::{PointProjection, PointQueryWithLocation, Ray, RayCast};
@@ -52,7 +52,7 @@ impl Mesh {
     pub fn new(name: &str, points_mm: &[Vector3<f64>], triangles: &[[u32; 3]]) -> Result<Self, SimError> {
         let refuse = |expected, found: String| SimError::Mesh { object: name.to_owned(), expected, found };
         if triangles.is_empty() || triangles.len() > MAX_TRIANGLES {
-            return Err(refuse("1 to 5,000,000 triangles", format!("{}", triangles.len())));
+            return Err(refuse("1 to 1,000,000 triangles", format!("{}", triangles.len())));
         }
         if triangles.iter().flatten().any(|&k| k as usize >= points_mm.len()) {
             return Err(refuse("triangles between known corners", "a corner that is not there".to_owned()));
@@ -110,7 +110,7 @@ impl Mesh {
     /// As [`Self::new`], or where the file cannot be read.
     pub fn read(path: &Path) -> Result<Self, SimError> {
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let bytes = wcal_core::files::read(path).map_err(SimError::io("reading", path))?;
+        let bytes = wcal_core::files::read_within(path, MAX_BYTES).map_err(SimError::io("reading", path))?;
         let wrong = |found| SimError::Io {
             action: "reading",
             path: path.to_owned(),

@@ -113,10 +113,10 @@ impl SweepPlan {
     /// # Errors
     /// Where it is no such file, or a value cannot be.
     pub fn from_toml(text: &str) -> Result<Self, SimError> {
-        let plan: Self = toml::from_str(text).map_err(|e| SimError::Value {
+        let plan: Self = wcal_core::document::toml_as(text).map_err(|e| SimError::Value {
             what: "sweep plan".to_owned(),
             expected: "the keys of a plan".to_owned(),
-            found: e.to_string().trim().to_owned(),
+            found: e.to_string(),
         })?;
         plan.check()?;
         Ok(plan)

@@ -1,4 +1,5 @@
 use std::path::PathBuf;
+use wcal_core::text::brief;
 
 /// Errors from a model to tracks.
 #[derive(Debug, thiserror::Error)]
@@ -35,11 +36,11 @@ impl TrackError {
         path: &std::path::Path,
     ) -> impl FnOnce(E) -> Self {
         let path = path.to_owned();
-        move |e| Self::File { action, path, detail: e.to_string() }
+        move |e| Self::File { action, path, detail: brief(&e.to_string()) }
     }
 
     /// A value that cannot be used.
     pub fn value(what: impl Into<String>, expected: impl Into<String>, found: impl Into<String>) -> Self {
-        Self::Value { what: what.into(), expected: expected.into(), found: found.into() }
+        Self::Value { what: what.into(), expected: brief(&expected.into()), found: brief(&found.into()) }
     }
 }

@@ -1,5 +1,7 @@
 //! The crate's error: what was attempted, what was expected and what was found.
 
+use wcal_core::text::brief;
+
 /// Errors of wcal-vision. A rejected view or pair is no error: it is listed with its reason in the result.
 #[derive(Debug, thiserror::Error)]
 pub enum VisionError {
@@ -57,7 +59,7 @@ impl VisionError {
         expected: impl Into<String>,
         found: impl Into<String>,
     ) -> Self {
-        Self::Content { path: path.into(), expected: expected.into(), found: found.into() }
+        Self::Content { path: path.into(), expected: brief(&expected.into()), found: brief(&found.into()) }
     }
 
     pub(crate) fn result(

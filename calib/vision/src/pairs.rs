@@ -58,18 +58,30 @@ pub fn list_pictures(source: &str) -> Result<Vec<PathBuf>, VisionError> {
     Ok(files)
 }
 
-/// `*` stands for any run of characters, `?` for one.
+/// `*` stands for any run of characters, `?` for one. A mismatch goes back to the latest `*` alone, which takes one character more: the time
+/// is that of pattern times name at most.
 #[must_use]
 pub fn matches_pattern(pattern: &[u8], name: &[u8]) -> bool {
-    match (pattern.first(), name.first()) {
-        (None, None) => true,
-        (Some(b'*'), _) => {
-            matches_pattern(&pattern[1..], name) || (!name.is_empty() && matches_pattern(pattern, &name[1..]))
+    let (mut p, mut n) = (0, 0);
+    // Places in pattern and name after the latest star and what it stands for.
+    let mut star = None;
+    while n < name.len() {
+        match pattern.get(p) {
+            Some(b'*') => {
+                p += 1;
+                star = Some((p, n));
+            }
+            Some(c) if *c == b'?' || *c == name[n] => (p, n) = (p + 1, n + 1),
+            _ => match &mut star {
+                Some((after, taken)) => {
+                    *taken += 1;
+                    (p, n) = (*after, *taken);
+                }
+                None => return false,
+            },
         }
-        (Some(b'?'), Some(_)) => matches_pattern(&pattern[1..], &name[1..]),
-        (Some(p), Some(n)) if p == n => matches_pattern(&pattern[1..], &name[1..]),
-        _ => false,
     }
+    pattern[p..].iter().all(|c| *c == b'*')
 }
 
 fn stem(path: &Path) -> String {

@@ -14,7 +14,7 @@ use clap::Args;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal::output::{OutputFolder, Overwrite, ResultKind, within};
+use wcal::output::{OutputFolder, Overwrite, ResultKind, unsaid, within};
 use wcal::picture_output::provenance;
 use wcal::progress::Progress;
 use wcal::track::filters_for;
@@ -69,6 +69,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     files: &["report.html"],
     kept: &[],
     resumes: false,
+    made_of: unsaid,
 };
 /// Objects of each kind and sweeps over each with `--quick`.
 const QUICK: [usize; 2] = [2, 4];

@@ -15,7 +15,7 @@ use slurm::RequestOutcome;
 pub use slurm::SlurmArgs;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal::output::{Overwrite, ResultKind, within};
+use wcal::output::{Overwrite, ResultKind, unsaid, within};
 use wcal::picture_output::write;
 use wcal::progress::Progress;
 use wcal_sim::SweepPlan;
@@ -96,6 +96,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     files: &["*.parquet", "report.html"],
     kept: &["convex", "slurm"],
     resumes: true,
+    made_of: unsaid,
 };
 
 /// Runs the command: 0, 3 where objects were left out or are doubtful, or 4 where a check finds shards missing.

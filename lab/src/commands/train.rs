@@ -12,7 +12,7 @@ use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use sweeps::Sweeps;
-use wcal::output::{Overwrite, ResultKind};
+use wcal::output::{Overwrite, ResultKind, unsaid};
 use wcal::progress::Progress;
 use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
 
@@ -90,6 +90,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     files: &["model.safetensors", "report.html"],
     kept: &["checkpoint", "sweeps"],
     resumes: true,
+    made_of: unsaid,
 };
 
 /// Runs the command.

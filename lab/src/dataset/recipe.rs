@@ -72,7 +72,7 @@ impl Recipe {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             other => other.map_err(LabError::file("reading", &path))?,
         };
-        let recipe = serde_json::from_str(&text);
+        let recipe = wcal_core::document::json_as(&text);
         recipe.map(Some).map_err(|e| LabError::Shard { path, detail: e.to_string() })
     }
 

@@ -50,7 +50,7 @@ pub(super) fn resume(
     }
     let text = wcal_core::files::read_text(&state_file).map_err(LabError::file("reading", &state_file))?;
     let made: CheckpointState =
-        serde_json::from_str(&text).map_err(LabError::file("reading", &state_file))?;
+        wcal_core::document::json_as(&text).map_err(LabError::file("reading", &state_file))?;
     if made.network != *network || made.settings != *settings {
         let what = format!("{}: network and settings", state_file.display());
         return Err(LabError::value(what, "those of this training (or another folder)", "others"));

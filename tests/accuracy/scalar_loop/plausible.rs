@@ -132,17 +132,21 @@ fn a_decimal_point_in_the_wrong_place_is_named() {
         (
             "\n5000,",
             "\n50000,",
-            "50000 of 6 readings contradicts all others: their responses are those of 5000",
+            "the 6 readings at the stimulus 50000 contradict all others; with the stimulus times 0.1",
         ),
-        ("\n2500,", "\n250,", "their responses are those of 2500"),
-        ("\n2000,", "\n20000,", "their responses are those of 2000"),
+        ("\n2500,", "\n250,", "with the stimulus times 10"),
+        ("\n2000,", "\n20000,", "with the stimulus times 0.1"),
     ] {
         let run = imported(&table.replace(from, to), CELL).run.unwrap();
         assert!(run.code == 1 && reason(&run).contains(says), "{from}: {}", reason(&run));
     }
     let ten = cell(3, |k, x| five(honest(k, x) * if x == 3000.0 { 10.0 } else { 1.0 }));
     let run = imported(&ten, CELL).run.unwrap();
-    assert!(run.code == 1 && reason(&run).contains("times 0.1 they agree"), "{}", reason(&run));
+    assert!(
+        run.code == 1 && reason(&run).contains("with the response times 0.1 they agree"),
+        "{}",
+        reason(&run)
+    );
     // A range ten times as far, and a response that saturates, are what they are.
     let far = cell(3, |k, x| five(honest(k, x))).replace("\n5000,", "\n5500,");
     assert!(!reason(&imported(&far, CELL).run.unwrap()).contains("decimal point"));

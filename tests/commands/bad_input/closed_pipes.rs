@@ -27,7 +27,7 @@ fn commands() -> Vec<String> {
         .filter_map(|line| line.strip_prefix("  ").filter(|l| !l.starts_with(' ')))
         .filter_map(|line| line.split(' ').next().map(str::to_owned))
         .collect();
-    assert!(names.len() > 20, "{names:?}");
+    assert!(names.len() > 12, "{names:?}");
     names
 }
 
@@ -38,9 +38,7 @@ fn every_help_ends_quietly_where_nobody_reads() {
         let output = unread(place.path(), &[&name, "--help"]);
         assert_eq!(output.status.code(), Some(0), "{name} --help");
     }
-    for arguments in [&["--version"][..], &["formats"], &["explain"], &["completions", "bash"]] {
-        assert_eq!(unread(place.path(), arguments).status.code(), Some(0), "{arguments:?}");
-    }
+    assert_eq!(unread(place.path(), &["--version"]).status.code(), Some(0));
 }
 
 /// A command whose reader left ends as it does with one, and its files are the same.
@@ -61,15 +59,15 @@ fn every_result_is_complete_where_nobody_reads() {
     let plan = plan.to_str().unwrap();
     let mut ran = 0;
     for arguments in [
-        &["doctor", "s"][..],
-        &["doctor", "s", "--json"],
+        &["verify", "s", "--check"][..],
+        &["verify", "s", "--check", "--json"],
         &["verify", "s", "--out", "o", "--json"],
         &["predict", "t.csv", "--calibration", "c.json", "--out", "o.csv"],
         &["import", "xy.csv", "--kind", "axis", "--commanded", "x", "--measured", "y", "--out", "o"],
         &["stage-sweep", "--rig", "rig", "--plan", plan, "--dry-run"],
         &["stage-sweep", "--rig", "rig", "--plan", plan, "--dry-run", "--json"],
         &["virtual-bench", "--scenario", "rig/scenario.toml"],
-        &["doctor", "nothing"],
+        &["verify", "nothing", "--check"],
     ] {
         let run = |run: &dyn Fn(&Path, &[&str]) -> Output| {
             let own = tempfile::tempdir().unwrap();
@@ -92,6 +90,7 @@ fn every_result_is_complete_where_nobody_reads() {
 fn a_full_disk_is_an_error() {
     let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
     let mut command = program();
-    let output = command.arg("formats").stdout(full).output().unwrap();
+    let session = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/nist/pontius");
+    let output = command.arg("verify").arg(session).arg("--check").stdout(full).output().unwrap();
     judge(&output, 1, &["writing to stdout"]).unwrap();
 }

@@ -102,9 +102,14 @@ fn sheets_and_archives_are_named_wherever_a_text_is_wanted() {
         fs::write(place.path().join("t.csv"), bytes).unwrap();
         judge(&wcal(place.path(), &[&["import", "t.csv"], COLUMNS].concat()), 1, says).unwrap();
         fs::write(session.join("points.csv"), bytes).unwrap();
-        judge(&wcal(place.path(), &["doctor", "session"]), 1, says).unwrap();
+        judge(&wcal(place.path(), &["verify", "session", "--check"]), 1, says).unwrap();
         fs::write(place.path().join("plan.toml"), bytes).unwrap();
-        judge(&wcal(place.path(), &["plan-check", "plan.toml", "--rig", "plan.toml"]), 1, says).unwrap();
+        judge(
+            &wcal(place.path(), &["stage-sweep", "--plan", "plan.toml", "--rig", "plan.toml", "--dry-run"]),
+            1,
+            says,
+        )
+        .unwrap();
     }
 }
 
@@ -122,7 +127,7 @@ fn a_sessions_table_in_another_form_names_the_way_out() {
         let place = tempfile::tempdir().unwrap();
         Base::Transducer.write(place.path());
         fs::write(place.path().join("points.csv"), bytes).unwrap();
-        judge(&wcal(place.path(), &["doctor", "."]), 1, &[says, "wcal import"])
+        judge(&wcal(place.path(), &["verify", ".", "--check"]), 1, &[says, "wcal import"])
             .unwrap_or_else(|why| panic!("{name}: {why}"));
     }
 }
@@ -134,9 +139,10 @@ fn a_table_of_many_columns_is_refused_within_seconds() {
     let header: Vec<String> = (0..300_000).map(|k| format!("c{k}")).collect();
     let row = vec!["1"; 300_000].join(",");
     fs::write(place.path().join("points.csv"), format!("{}\n{row}\n", header.join(","))).unwrap();
-    judge(&limits::limited(place.path(), &["doctor", "."]), 1, &["columns", "300000"]).unwrap();
+    judge(&limits::limited(place.path(), &["verify", ".", "--check"]), 1, &["columns", "300000"]).unwrap();
     fs::write(place.path().join("points.csv"), vec![b'1'; 20_000_000]).unwrap();
-    judge(&limits::limited(place.path(), &["doctor", "."]), 1, &["points.csv", "at most"]).unwrap();
+    judge(&limits::limited(place.path(), &["verify", ".", "--check"]), 1, &["points.csv", "at most"])
+        .unwrap();
 }
 
 /// An ASCII box; corners as text.

@@ -126,7 +126,7 @@ fn import_refuses_and_leaves_nothing() {
 #[test]
 fn import_takes_good_tables_and_replaces_only_its_own() {
     let place = tempfile::tempdir().unwrap();
-    fs::write(place.path().join("t.csv"), "\u{feff}x,y,T\r\n1,2.5,20\r\n2,4.5,21").unwrap();
+    fs::write(place.path().join("t.csv"), "\u{feff}x,y,T\r\n1,2.5,20\r\n2,4.5,21\r\n").unwrap();
     let mapped = [&["import", "t.csv", "--out", "new", "--temperature", "T", "--json"], LINEAR].concat();
     let output = wcal(place.path(), &mapped);
     judge(&output, 0, &[]).unwrap();
@@ -191,7 +191,7 @@ fn columns_that_are_left_out_are_named() {
     assert!(points.starts_with("point,role,stimulus,response,humidity,t_s\n"), "{points}");
     // Control: nothing is left out, and nothing said.
     fs::write(place.path().join("t.csv"), "x,y\n1,2.5\n2,4.5\n").unwrap();
-    let (left, said) = import(&[]);
+    let (left, said) = import(&["--force"]);
     assert!(left == serde_json::json!([]) && !said.contains("not imported"), "{said}");
 }
 
@@ -216,5 +216,5 @@ fn a_whisker_table_is_imported_with_its_description() {
         "new",
     ];
     judge(&wcal(place.path(), &arguments), 0, &["3 rows"]).unwrap();
-    judge(&wcal(place.path(), &["doctor", "new"]), 3, &["t_s is present"]).unwrap();
+    judge(&wcal(place.path(), &["verify", "new", "--check"]), 3, &["t_s is present"]).unwrap();
 }

@@ -9,7 +9,7 @@ const TRANSDUCER: &[&str] =
 /// Command lines with the path under test as `@`; the other files are there and good as far as the command reads them first.
 fn lines() -> Vec<Vec<&'static str>> {
     let mut all: Vec<Vec<&str>> = [
-        "doctor @",
+        "verify @ --check",
         "verify @ --out o",
         "fit-gpr @ --out o",
         "twin @ --out o.csv",
@@ -37,8 +37,6 @@ fn lines() -> Vec<Vec<&'static str>> {
         "track t.csv --calibration c.json --model @ --out o.csv",
         "track --calibration c.json --rig @ --out o.csv",
         "track --calibration c.json --rig rig.toml --bench @ --out o.csv",
-        "plan-check @ --rig rig.toml",
-        "plan-check plan.toml --rig @",
         "stage-sweep --rig @ --plan plan.toml --dry-run",
         "stage-sweep --rig rig.toml --plan @ --dry-run",
         "stage-sweep --rig rig.toml --plan plan.toml --bench @ --out o",
@@ -134,12 +132,13 @@ fn a_pipe_inside_a_session_is_named() {
         fs::create_dir(&session).unwrap();
         Base::Whisker.write(&session);
         // Control: as it is, it is read.
-        judge(&limited(&session, &["doctor", "."]), 3, &[]).unwrap();
+        judge(&limited(&session, &["verify", ".", "--check"]), 3, &[]).unwrap();
         fs::remove_file(session.join(name)).unwrap();
         assert!(Command::new("mkfifo").arg(session.join(name)).status().unwrap().success());
-        for command in ["doctor", "verify", "fit-gpr"] {
-            let out = if command == "doctor" { &[][..] } else { &["--out", command] };
-            let output = limited(&session, &[&[command, "."], out].concat());
+        for (command, more) in
+            [("verify", &["--check"][..]), ("verify", &["--out", "v"]), ("fit-gpr", &["--out", "g"])]
+        {
+            let output = limited(&session, &[&[command, "."], more].concat());
             judge(&output, 1, &[name]).unwrap();
             let text = sound(&output).unwrap();
             assert!(text.contains("a pipe") || text.contains("not a regular file"), "{command}: {text}");

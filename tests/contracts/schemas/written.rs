@@ -118,6 +118,7 @@ fn traced(place: &Place<'_>) -> Vec<Written> {
         place.file("fit-gpr", "map/fit-gpr.json"),
         place.file("calibration", "map/calibration.json"),
     ]);
+    all.push(place.printed("check", "verify held --check --json", &[0, 3]));
     all.push(place.printed(
         "path",
         "stage-sweep --rig rigs/paper --plan rigs/plans/rich.toml --dry-run --json",

@@ -46,13 +46,10 @@ fn a_dry_run_draws_the_path_and_checks_the_limits() {
 
 #[test]
 fn a_plan_says_beforehand_what_it_cannot_tell_apart() {
-    let check = |more: &[&str]| -> Value {
-        let run = program().arg("plan-check").args(more).arg("--json").output().expect("wcal runs");
-        assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
-        document(&run)
+    let check = |plan: &str| {
+        document(&dry_run(&repository("rigs/virtual"), &repository(plan), true))["shows"].clone()
     };
-    let path = |name: &str| repository(name).display().to_string();
-    let poor = check(&[&path("rigs/plans/paper-27.toml"), "--rig", &path("rigs/virtual")]);
+    let poor = check("rigs/plans/paper-27.toml");
     let of = |found: &Value, id: &str| {
         let all = found["effects"].as_array().expect("effects").clone();
         all.into_iter().find(|e| e["id"] == id).unwrap_or_default()
@@ -65,7 +62,7 @@ fn a_plan_says_beforehand_what_it_cannot_tell_apart() {
     // A reversal is never made: backlash is an offset like a periodic error's.
     assert!(of(&poor, "stage-backlash")["never_apart"].to_string().contains("stage-periodic"), "{poor}");
     // Negative control: a plan with both directions, speeds and dwells.
-    let rich = check(&[&path("fixtures/practice/case-004")]);
+    let rich = check("rigs/plans/rich.toml");
     assert_eq!(of(&rich, "time-lag")["status"], "testable");
     assert_eq!(of(&rich, "stage-backlash")["never_apart"], Value::Array(Vec::new()));
 }

@@ -12,12 +12,8 @@
 //! An object that retracts past first touch and returns touches the wire at the same point again, as in a table
 //! ([`super::episodes`]).
 
-use super::check::{self, Disagreement};
 use super::posterior::Region;
-use super::{
-    CorrelatedNoise, Episode, EpisodeContact, Innovations, MomentField, MotionRow, RecursivePosterior,
-    Settings, check_row,
-};
+use super::{EpisodeContact, Innovations, MomentField, MotionRow, RecursivePosterior, Settings, check_row};
 use crate::ContactError;
 use nalgebra::Vector3;
 use std::collections::VecDeque;
@@ -32,8 +28,8 @@ const DIPS: usize = 3;
 const MIN_LOADED: usize = 3;
 /// An object is retracted where it is at most this far past its position at the first load, mm; a longer displacement has a direction.
 const BACK_MM: f64 = 0.3;
-/// Readings of an episode that are kept to name a disagreement; of more, every second, fourth, ...
-const KEPT: usize = 48;
+/// Readings of a long hold before any motion that are kept.
+const WAITING: usize = 48;
 
 /// What is known after a reading.
 #[derive(Debug, Clone, Default)]
@@ -61,8 +57,6 @@ pub struct FinishedEpisode {
     pub readings: usize,
     /// Innovations.
     pub innovations: Innovations,
-    /// Evidence against motion, map or rod.
-    pub disagreement: Option<Disagreement>,
     /// 95 % regions at its end.
     pub regions: Vec<Region>,
 }
@@ -78,9 +72,6 @@ struct Running {
     /// Readings in a row that were not loaded, and those of them past the first load.
     free: usize,
     past: usize,
-    /// Every n-th reading.
-    kept: Vec<MotionRow>,
-    every: usize,
     regions: Vec<Region>,
 }
 
@@ -178,7 +169,7 @@ impl ContactStream {
         self.waiting.push(row.clone());
         let Some(direction) = push.or_else(|| self.direction()) else {
             // A long hold before any motion: its last readings say as much.
-            if self.waiting.len() > KEPT {
+            if self.waiting.len() > WAITING {
                 self.waiting.remove(1);
             }
             return;
@@ -195,8 +186,6 @@ impl ContactStream {
             loaded: 1,
             free: 0,
             past: 0,
-            kept: lead.into_iter().chain([waiting[0].clone()]).collect(),
-            every: 1,
             regions: Vec::new(),
         });
         self.episodes += 1;
@@ -224,7 +213,6 @@ impl ContactStream {
         }
         running.posterior.push(&self.field, row);
         running.last_s = row.t_s;
-        running.keep(row);
     }
 
     fn lead_in(&mut self, row: &MotionRow) {
@@ -259,37 +247,12 @@ impl ContactStream {
             return;
         }
         let innovations = running.posterior.innovations();
-        let mut rows = running.kept;
-        if let Some(CorrelatedNoise::ByPose { covariance_nmm2, .. }) = self.settings.correlated {
-            rows.iter_mut().for_each(|r| r.noise_nmm2 += covariance_nmm2);
-        }
-        let settings = Settings { correlated: None, ..self.settings };
-        let episode = Episode { rows, push: Some(running.posterior.push_direction()) };
-        let disagreement = check::disagreement(&self.field, &episode, &settings, &innovations);
         self.finished.push(FinishedEpisode {
             number: running.number,
             span_s: [running.from_s, running.last_s],
             readings: innovations.rows,
             innovations,
-            disagreement,
             regions: running.regions,
         });
-    }
-}
-
-impl Running {
-    /// Keeps a bounded number of readings, evenly spread.
-    fn keep(&mut self, row: &MotionRow) {
-        if self.posterior.innovations().rows.is_multiple_of(self.every) {
-            self.kept.push(row.clone());
-        }
-        if self.kept.len() > KEPT {
-            self.every *= 2;
-            let mut k = 0;
-            self.kept.retain(|_| {
-                k += 1;
-                k % 2 == 1
-            });
-        }
     }
 }

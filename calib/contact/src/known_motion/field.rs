@@ -386,5 +386,5 @@ impl MomentField {
 }
 
 #[cfg(test)]
-#[path = "field_tests.rs"]
+#[path = "field_test.rs"]
 mod tests;

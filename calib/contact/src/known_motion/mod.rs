@@ -41,7 +41,7 @@ pub mod posterior;
 pub mod recursive;
 
 pub use bound::bound_mm;
-pub use check::{Disagreement, Innovations};
+pub use check::Innovations;
 pub use contact_stream::{ContactStream, StreamedContact};
 pub use episodes::episodes;
 pub use field::{Friction, MomentField};
@@ -149,8 +149,6 @@ pub struct EpisodeEstimate {
     pub places: Vec<EpisodeContact>,
     /// The posterior of the state; none where no state explains anything.
     pub posterior: Option<Posterior>,
-    /// Evidence against motion, map or rod.
-    pub disagreement: Option<Disagreement>,
     /// Innovations at the best state.
     pub innovations: Innovations,
 }
@@ -169,7 +167,7 @@ pub fn estimate_contact(
         // A loaded wire whose motion has no direction is not explained; a free one has no contact.
         let loaded = episode.rows.iter().any(loaded);
         return Ok(match loaded {
-            true => EpisodeEstimate::unexplained(field, episode, settings),
+            true => EpisodeEstimate::unexplained(episode),
             false => EpisodeEstimate::nothing(episode),
         });
     };
@@ -183,16 +181,13 @@ pub fn estimate_contact(
         whole => without_first(field, path.push, &rows, settings).filter(consistent).or(whole),
     };
     let Some(found) = found else {
-        return Ok(EpisodeEstimate::unexplained(field, episode, settings));
+        return Ok(EpisodeEstimate::unexplained(episode));
     };
-    let thin = Episode { rows, push: Some(path.push) };
-    let disagreement = check::disagreement(field, &thin, settings, &found.innovations);
     let outlier = |k: usize| chosen.binary_search(&k).is_ok_and(|n| found.outliers[n]);
     let place = |k| EpisodeContact { outlier: outlier(k), ..found.posterior.place(&path, k) };
     Ok(EpisodeEstimate {
         places: (0..episode.rows.len()).map(place).collect(),
         posterior: Some(found.posterior),
-        disagreement,
         innovations: found.innovations,
     })
 }
@@ -212,11 +207,15 @@ fn without_first(
 }
 
 impl EpisodeEstimate {
+    /// Whether there is evidence against motion, map or rod.
+    #[must_use]
+    pub fn disagrees(&self) -> bool {
+        !self.innovations.consistent()
+    }
+
     /// Loaded readings that no contact on the wire explains.
-    fn unexplained(field: &MomentField, episode: &Episode, settings: &Settings) -> Self {
-        let innovations = Innovations::unexplained(episode.rows.len());
-        let disagreement = check::disagreement(field, episode, settings, &innovations);
-        Self { disagreement, innovations, ..Self::nothing(episode) }
+    fn unexplained(episode: &Episode) -> Self {
+        Self { innovations: Innovations::unexplained(episode.rows.len()), ..Self::nothing(episode) }
     }
 
     fn nothing(episode: &Episode) -> Self {
@@ -225,7 +224,6 @@ impl EpisodeEstimate {
         Self {
             places: vec![place; episode.rows.len()],
             posterior: None,
-            disagreement: None,
             innovations: Innovations {
                 plain: 0.0,
                 robust: 0.0,

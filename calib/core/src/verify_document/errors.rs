@@ -22,25 +22,6 @@ pub struct HeldOutError {
     pub interval95: BTreeMap<String, [f64; 2]>,
     /// Rows that counted.
     pub points: usize,
-    /// Leave-one-out errors of the map from wavelengths to this model's moments, where there is no holdout (kind whisker).
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub loo: Option<MapLeftOut>,
-}
-
-/// Leave-one-out error of a map from wavelengths to moments, N mm. Readings of one pose are left out together.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
-pub struct MapLeftOut {
-    /// Map: `affine`, or the one that the data choose.
-    pub map: String,
-    /// Both moments pooled, N mm.
-    pub moment_rmse_nmm: f64,
-    /// The two moments separately.
-    pub moment_rmse_nmm_each: [f64; 2],
-    /// Readings, rest among them.
-    pub points: usize,
-    /// The map that the data choose, where it is another.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub chosen: Option<Box<MapLeftOut>>,
 }
 
 /// What is lost without one accepted effect, the others refitted.

@@ -48,6 +48,10 @@ type Run = unsafe extern "C" fn(
 type Free = unsafe extern "C" fn(MeshArray);
 type Level = unsafe extern "C" fn(*const c_char);
 
+/// More parts, and more corners of one, are no answer.
+const MAX_PARTS: u64 = 100_000;
+const MAX_CORNERS: u64 = 10_000_000;
+
 pub fn parts(surface: &Decompose) -> Reply {
     run(surface).map_or_else(|why| Reply::Refused { why }, |parts| Reply::Parts { parts })
 }
@@ -57,12 +61,12 @@ fn run(surface: &Decompose) -> Result<Vec<Part>, String> {
     if surface.triangles.iter().flatten().any(|k| *k < 0 || *k as usize >= corners) {
         return Err("expected triangles between known corners".to_owned());
     }
-    let path = native::folder().join(native::COACD);
-    if !path.is_file() {
-        return Err(format!("expected CoACD at {}, found none (`make setup` fetches it)", path.display()));
-    }
+    let of_coacd = |why| format!("CoACD: {why}");
+    let path = native::checked(native::COACD).map_err(of_coacd)?;
+    // Its own path leads the system to this one.
+    native::checked(native::COACD_OPENMP).map_err(of_coacd)?;
     let lost = |e: libloading::Error| format!("loading {}: {e}", path.display());
-    // SAFETY: the file is CoACD's wheel (SHA-256 checked by fetch.sh); its initialisers have no demands.
+    // SAFETY: the file is CoACD's wheel by its SHA-256; its initialisers have no demands.
     let library = unsafe { Library::new(&path) }.map_err(lost)?;
     let mesh = Mesh {
         points: surface.points.as_ptr().cast(),
@@ -97,11 +101,67 @@ fn run(surface: &Decompose) -> Result<Vec<Part>, String> {
             surface.seed,
             false,
         );
-        let copy = |mesh: &Mesh| -> Part {
-            std::slice::from_raw_parts(mesh.points.cast::<[f64; 3]>(), mesh.point_count as usize).to_vec()
+        let parts = copied(found);
+        if !found.meshes.is_null() {
+            free(found);
+        }
+        parts
+    }
+}
+
+/// The parts that CoACD hands over.
+///
+/// # Safety
+/// `found` is as CoACD made it: where pointers are not null and counts are believable, they belong together.
+unsafe fn copied(found: MeshArray) -> Result<Vec<Part>, String> {
+    let wrong = |what: &str, count: u64| {
+        format!("CoACD: expected {what}, found {count} at a null pointer or too many")
+    };
+    if found.count > MAX_PARTS || (found.meshes.is_null() && found.count > 0) {
+        return Err(wrong(&format!("at most {MAX_PARTS} parts"), found.count));
+    }
+    let part = |k: usize| -> Result<Part, String> {
+        // SAFETY: `k` is below the count of an array that is there.
+        let mesh = unsafe { &*found.meshes.add(k) };
+        if mesh.point_count > MAX_CORNERS || (mesh.points.is_null() && mesh.point_count > 0) {
+            return Err(wrong(&format!("a part of at most {MAX_CORNERS} corners"), mesh.point_count));
+        }
+        if mesh.points.is_null() {
+            return Ok(Vec::new());
+        }
+        // SAFETY: three numbers a corner, as many corners as the part says.
+        let corners =
+            unsafe { std::slice::from_raw_parts(mesh.points.cast::<[f64; 3]>(), mesh.point_count as usize) };
+        if corners.iter().flatten().any(|x| !x.is_finite()) {
+            return Err("CoACD: expected finite corners, found others".to_owned());
+        }
+        Ok(corners.to_vec())
+    };
+    (0..found.count as usize).map(part).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn null_pointers_and_counts_that_cannot_be_are_refused() {
+        let corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, f64::NAN]];
+        let mesh = |points: *const f64, point_count: u64| Mesh {
+            points,
+            point_count,
+            triangles: std::ptr::null(),
+            triangle_count: 0,
         };
-        let parts = (0..found.count as usize).map(|k| copy(&*found.meshes.add(k))).collect();
-        free(found);
-        Ok(parts)
+        let take = |mesh: &Mesh, count: u64| unsafe { copied(MeshArray { meshes: mesh, count }) };
+        let at = corners.as_ptr().cast();
+        assert_eq!(take(&mesh(at, 2), 1).unwrap(), [corners[..2].to_vec()], "negative control");
+        assert_eq!(take(&mesh(std::ptr::null(), 0), 1).unwrap(), [Vec::<[f64; 3]>::new()]);
+        assert!(take(&mesh(at, 3), 1).is_err(), "a corner that is no number");
+        assert!(take(&mesh(std::ptr::null(), 2), 1).is_err(), "corners at a null pointer");
+        assert!(take(&mesh(at, u64::MAX), 1).is_err(), "more corners than there is memory");
+        assert!(take(&mesh(at, 2), u64::MAX).is_err(), "more parts than there is memory");
+        let none = |count| unsafe { copied(MeshArray { meshes: std::ptr::null(), count }) };
+        assert!(none(1).is_err() && none(0).unwrap().is_empty());
     }
 }

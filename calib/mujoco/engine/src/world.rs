@@ -285,9 +285,9 @@ impl Model {
 
     fn frame(&mut self) -> Frame {
         let moment = self.base_moment();
-        let sensor_nm = self.sensor_site.map(|site| {
+        let sensor_nm = self.sensor_site.and_then(|site| {
             let turn = Matrix3::from_row_slice(&self.data.site_xmat()[site]);
-            (turn * Vector3::from_column_slice(&self.data.sensordata()[..3])).into()
+            Some((turn * Vector3::from_column_slice(self.data.sensordata().get(..3)?)).into())
         });
         let fastest = self.data.qvel().iter().map(|v| v.abs()).fold(0.0, f64::max);
         let since = std::mem::take(&mut self.since);
@@ -351,13 +351,7 @@ fn cable_links(model: &MjModel) -> Vec<usize> {
 /// A plugin that does not load ends the process: its file is searched first.
 fn load_cable_plugin() -> Result<(), String> {
     static ONCE: Once = Once::new();
-    let path = native::folder().join(PLUGIN);
-    if !path.is_file() {
-        return Err(format!(
-            "expected MuJoCo's cable plugin at {}, found none (`make setup` fetches it)",
-            path.display()
-        ));
-    }
+    let path = native::checked(PLUGIN).map_err(|why| format!("MuJoCo's cable plugin: {why}"))?;
     let mut result = Ok(());
     ONCE.call_once(|| result = load_plugin_library(&path).map_err(|e| e.to_string()));
     result

@@ -253,22 +253,73 @@ fn what_is_missing_is_named() {
     // Still alive.
     engine.load("<mujoco/>", false).unwrap();
     // Without the plugin's file MuJoCo would end the process.
-    let ask = |request: &str| {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_wcal-mujoco"))
-            .env("WCAL_NATIVE", "/nonexistent")
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        writeln!(child.stdin.take().unwrap(), "{request}").unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        child.wait().unwrap();
-        line
-    };
+    let ask = |request: &str| ask(&[("WCAL_NATIVE", "/nonexistent")], request);
     let line = ask(r#"{"do":"load","xml":"<mujoco/>","cable_plugin":true}"#);
-    assert!(line.contains("cable plugin at /nonexistent"), "{line}");
+    assert!(line.contains("cable plugin: expected /nonexistent"), "{line}");
     let line =
         ask(r#"{"do":"decompose","points":[],"triangles":[],"threshold":0.05,"most_parts":1,"seed":1}"#);
-    assert!(line.contains("expected CoACD at /nonexistent"), "{line}");
+    assert!(line.contains("CoACD: expected /nonexistent"), "{line}");
+}
+
+/// What the program answers to one request in this environment.
+fn ask(environment: &[(&str, &str)], request: &str) -> String {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_wcal-mujoco"))
+        .envs(environment.iter().copied())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    writeln!(child.stdin.take().unwrap(), "{request}").unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    child.wait().unwrap();
+    line
+}
+
+/// Copies the files below a folder.
+fn copy(from: &std::path::Path, to: &std::path::Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap().map(Result::unwrap) {
+        let (from, to) = (entry.path(), to.join(entry.file_name()));
+        if from.is_dir() { copy(&from, &to) } else { drop(std::fs::copy(from, to).unwrap()) }
+    }
+}
+
+/// The folder of WCAL_NATIVE may be anybody's: a library with one other byte is named and not loaded.
+#[test]
+fn a_library_that_is_not_the_expected_one_is_not_loaded() {
+    if !ready() {
+        return;
+    }
+    let place = tempfile::tempdir().unwrap();
+    let native = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../native");
+    copy(&native, place.path());
+    let folder = place.path().to_str().unwrap();
+    const TETRAHEDRON: &str = r#"{"do":"decompose","points":[[0,0,0],[9,0,0],[0,9,0],[0,0,9]],"triangles":[[0,2,1],[0,1,3],[0,3,2],[1,2,3]],"threshold":0.05,"most_parts":1,"seed":1}"#;
+    const CABLE: &str = r#"{"do":"load","xml":"<mujoco/>","cable_plugin":true}"#;
+    let asked = |request: &str| ask(&[("WCAL_NATIVE", folder)], request);
+    assert!(asked(TETRAHEDRON).contains("parts"), "negative control: {}", asked(TETRAHEDRON));
+    assert!(asked(CABLE).contains("loaded-model"), "negative control: {}", asked(CABLE));
+    for (library, request) in [
+        ("coacd/coacd/lib_coacd.so", TETRAHEDRON),
+        ("coacd/coacd.libs/libgomp-a34b3233.so.1.0.0", TETRAHEDRON),
+        ("mujoco/plugin/libelasticity.so", CABLE),
+    ] {
+        let path = place.path().join(library);
+        let whole = std::fs::read(&path).unwrap();
+        // Behind the end a byte changes nothing of what the library does.
+        std::fs::write(&path, [&whole[..], &[0]].concat()).unwrap();
+        let line = asked(request);
+        assert!(line.contains("SHA-256") && line.contains(library), "{library}: {line}");
+        std::fs::write(&path, whole).unwrap();
+    }
+    // MuJoCo itself is loaded with the program: another one is asked nothing.
+    let mujoco = place.path().join("mujoco");
+    let path = mujoco.join("libmujoco.so.3.17.0");
+    let instead = |request: &str| ask(&[("LD_LIBRARY_PATH", mujoco.to_str().unwrap())], request);
+    assert!(instead(r#"{"do":"hello"}"#).contains("3.17.0"), "negative control");
+    let whole = std::fs::read(&path).unwrap();
+    std::fs::write(&path, [&whole[..], &[0]].concat()).unwrap();
+    let line = instead(r#"{"do":"hello"}"#);
+    assert!(line.contains("SHA-256") && line.contains("libmujoco"), "{line}");
 }

@@ -163,7 +163,6 @@ pub fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDocument {
         inputs: vec![],
         notes: vec![],
         leave_one_effect_out: vec![],
-        identifiability: vec![],
         calibration: None,
         groove_tracking: None,
         sweep: None,
@@ -181,7 +180,6 @@ fn whisker_error(pm: f64, pm95: [f64; 2], nmm: f64, nmm95: [f64; 2]) -> HeldOutE
         moment_rmse_nmm_each: Some([1.13 * nmm, 0.85 * nmm]),
         interval95: BTreeMap::from([(pm_key, pm95), (nmm_key, nmm95)]),
         points: 48,
-        loo: None,
     }
 }
 

@@ -150,7 +150,6 @@ pub(super) fn body(input: &ReportInput) -> String {
     let errors: Vec<&HeldOutError> = models.iter().map(|m| m.error).collect();
     let quantities = quantities(input, &errors);
     let mut out = table(input, &models, &quantities);
-    out += &map_table(input);
     if let Some(coverage) = input.verify.coverage95 {
         out += &format!(
             "<p>The stated 95 % intervals hold <strong>{}</strong> of the held-out readings.</p>",
@@ -230,30 +229,6 @@ fn sweep(judged: &SweepJudgement) -> String {
         ]);
     }
     table.html()
-}
-
-/// Leave-one-out errors of the map from wavelengths to the moments of either model; empty where neither has them.
-fn map_table(input: &ReportInput) -> String {
-    let of = |error: &Option<HeldOutError>| error.as_ref().and_then(|e| e.loo.clone());
-    let (before, after) = (of(&input.verify.before), of(&input.verify.after));
-    let heads = input.moment_names.each_ref().map(|name| format!("#{name} (N\u{a0}mm)"));
-    let mut table = Table::new(
-        "Map from wavelengths to moments, left one out (root mean square)",
-        &["moments of", "map", "#readings", &heads[0], &heads[1]],
-    );
-    let name = format!("after: {}", input.model_after());
-    for (name, map) in [("before: declared model", before), (name.as_str(), after)] {
-        for m in map.iter().flat_map(|m| [Some(m), m.chosen.as_deref()]).flatten() {
-            let mut cells = vec![
-                TableCell::Text(name.into()),
-                TableCell::Text(m.map.clone()),
-                TableCell::Number(m.points.to_string()),
-            ];
-            cells.extend(m.moment_rmse_nmm_each.iter().map(|v| TableCell::Number(number(*v))));
-            table.row(cells);
-        }
-    }
-    if table.is_empty() { String::new() } else { table.html() }
 }
 
 fn split_words(split: &str) -> &str {

@@ -2,7 +2,7 @@
 
 use super::{absent, joined, residuals};
 use crate::input::ReportInput;
-use crate::markup::{Table, TableCell, escape, list, paragraph};
+use crate::markup::{Table, TableCell, escape, paragraph};
 use crate::number::{join_unit, number, p_value, percent, quantity, split_unit, unit_text, with_interval};
 use wcal_core::verify_document::{NamedEffect, NextMeasurement, Verdict};
 
@@ -21,10 +21,6 @@ pub(super) fn body(input: &ReportInput) -> String {
         out += &absent("No effect of the catalogue was added to the declared model.");
     }
     out += &left_out(input);
-    if !verify.identifiability.is_empty() {
-        let title = "What the data determine only together";
-        out += &format!("<div class=\"card\"><h5>{title}</h5>{}</div>", list(&verify.identifiability));
-    }
     out += &ambiguity(input);
     if let Some(unknown) = &verify.unknown {
         let period = match unknown.period {

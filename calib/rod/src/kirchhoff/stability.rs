@@ -7,7 +7,6 @@
 //! Struct. 47 (2010).
 
 use crate::dual::{Dual3, Scalar};
-use crate::kirchhoff::continuation::{BranchTracker, Line, Outcome};
 use crate::kirchhoff::integrate::{Load, matrix_of, to_arclength};
 use crate::kirchhoff::solve::{Equilibrium, Guess, Rod};
 use crate::shape::{Interval, Shape};
@@ -21,41 +20,6 @@ pub enum Hold {
     /// The material point stays: stick.
     Held,
 }
-
-/// How a trajectory lost its stability.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum LossKind {
-    /// The branch ends where the smallest eigenvalue vanishes: the wire snaps to another shape.
-    Fold,
-    /// The branch goes on, but the eigenvalue changes sign: the wire leaves it sideways.
-    Crossing,
-    /// The branch could not be followed although the eigenvalue is far from zero there (the law has no answer, or the mesh is poor).
-    Unexplained,
-}
-
-/// Loss of stability along a trajectory.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Loss {
-    /// Stage position, mm.
-    pub at_mm: f64,
-    /// Smallest eigenvalue at the last equilibrium before, N.
-    pub eigenvalue_n: f64,
-    /// The kind.
-    pub kind: LossKind,
-}
-
-/// Smallest eigenvalue along a trajectory.
-#[derive(Debug, Clone, PartialEq)]
-pub struct StabilityScan {
-    /// Stage position (mm) and smallest eigenvalue (N), in order of travel, as far as the wire was held.
-    pub samples: Vec<(f64, f64)>,
-    /// Where stability was lost, if it was.
-    pub loss: Option<Loss>,
-}
-
-/// An eigenvalue below this share of the largest one met before counts as vanishing at the end of a branch:
-/// it falls as the square root of the distance to a fold, and the follower stops within 1e-4 mm of it.
-const VANISHING_SHARE: f64 = 0.1;
 
 /// A last piece shorter than this share of its interval joins the element before it.
 const SLIVER: f64 = 0.05;
@@ -234,44 +198,6 @@ impl Rod {
         energy.ger(-equilibrium.force_n.dot(&tangent_rate), &sigma, &sigma, 1.0);
         energy.ger(-1.0, &sigma, &turn, 1.0);
         energy.ger(-1.0, &turn, &sigma, 1.0);
-    }
-
-    /// Smallest eigenvalue along `line` at the stage positions `xs_mm`, and where stability is lost.
-    #[must_use]
-    pub fn scan_stability(&self, line: &Line, xs_mm: &[f64]) -> StabilityScan {
-        let far = xs_mm.iter().copied().fold(0.0, f64::max);
-        let near = xs_mm.iter().copied().fold(0.0, f64::min);
-        let touch = self.first_touch(line, -near, far);
-        let mut scan = StabilityScan { samples: Vec::new(), loss: None };
-        let Some(mut tracker) = BranchTracker::start(self, line, &touch) else { return scan };
-        let mut order: Vec<f64> = xs_mm.iter().copied().filter(|x| *x >= touch.x_mm).collect();
-        order.sort_by(f64::total_cmp);
-        let mut largest: f64 = 0.0;
-        for x in order {
-            match tracker.advance_to(x) {
-                Outcome::Held(e) => {
-                    let eigenvalue = self.smallest_eigenvalue(&e);
-                    if let (Some(&(x0, before)), true) = (scan.samples.last(), eigenvalue <= 0.0)
-                        && before > 0.0
-                        && scan.loss.is_none()
-                    {
-                        let at_mm = x0 + (x - x0) * before / (before - eigenvalue);
-                        scan.loss = Some(Loss { at_mm, eigenvalue_n: before, kind: LossKind::Crossing });
-                    }
-                    largest = largest.max(eigenvalue);
-                    scan.samples.push((x, eigenvalue));
-                }
-                Outcome::Snapped { at_mm } => {
-                    let eigenvalue_n = self.smallest_eigenvalue(tracker.last_held());
-                    let vanishing = eigenvalue_n.abs() < VANISHING_SHARE * largest;
-                    let kind = if vanishing { LossKind::Fold } else { LossKind::Unexplained };
-                    scan.loss = scan.loss.or(Some(Loss { at_mm, eigenvalue_n, kind }));
-                    break;
-                }
-                Outcome::SlippedOff { .. } | Outcome::NotTouched => break,
-            }
-        }
-        scan
     }
 }
 

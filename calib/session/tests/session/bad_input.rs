@@ -145,10 +145,10 @@ fn an_attached_holdout_must_be_new() {
     fs::write(&fresh, WHISKER_POINTS.replace("1545.03", "1545.0301")).unwrap();
     attach_holdout(&mut session, &fresh).unwrap();
     assert_eq!(data(&session).holdout.len(), 3);
-    // Two of the three rows are still copies: doctor says so.
+    // Two of the three rows are still copies: under a clock `verify` refuses them.
     let findings = examine(&session);
     assert!(
-        findings.iter().any(|f| f.topic == "holdout" && f.message.contains("2 sealed rows")),
+        findings.iter().any(|f| f.topic == "holdout" && f.message.contains("3 sealed rows")),
         "{findings:?}"
     );
 }

@@ -50,7 +50,7 @@ fn meshes_are_refused_or_noted_by_name() {
     stl(&place("flat.stl"), &tetra(50.0), &[[0, 1, 1]]);
     std::fs::write(place("cut.stl"), vec![0_u8; 90]).unwrap();
     for (name, word) in [
-        ("empty", "expected 1 to 5,000,000 triangles, found 0"),
+        ("empty", "expected 1 to 1,000,000 triangles, found 0"),
         ("huge", "expected a longest side of 3 to 2000 mm, found 5000"),
         ("flat", "expected triangles with an area, found none"),
         ("missing", "missing.stl"),

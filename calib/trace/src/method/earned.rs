@@ -97,7 +97,7 @@ pub fn earned(system: &dyn MeasurementModel, h: &Hypothesis) -> (Hypothesis, Vec
 
 #[cfg(test)]
 mod tests {
-    use super::super::columns_system::ColumnsSystem;
+    use super::super::columns_system_test::ColumnsSystem;
     use super::super::fit::Weights;
     use super::*;
 

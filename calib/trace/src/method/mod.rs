@@ -2,7 +2,7 @@
 
 pub mod ambiguity;
 #[cfg(test)]
-mod columns_system;
+mod columns_system_test;
 pub mod covariates;
 mod earned;
 pub mod explain;
@@ -10,7 +10,6 @@ pub mod fit;
 pub mod hypothesis;
 pub mod inference;
 pub mod lack_of_fit;
-pub mod lasso;
 pub mod linear;
 pub mod min_p;
 pub mod noise;

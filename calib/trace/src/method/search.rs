@@ -4,7 +4,6 @@ use super::ambiguity::compared;
 use super::fit::{Fit, Weights, fit};
 use super::hypothesis::{AMBIGUITY_LEVEL, Evidence, Hypothesis, NotIdentified, SearchResult};
 use super::inference::not_told;
-use super::lasso::group_lasso;
 use super::min_p::f_test;
 use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
 use super::options::Options;
@@ -175,14 +174,6 @@ pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Option
         level = physical.clone();
         final_level = physical;
     }
-    if level_test.rejected()
-        && let Some(more) = by_cross_check(system, &base, &best, &first_test, options.largest)
-    {
-        best = flag_anew(system, more);
-        level_test = rerun_omnibus(system, &best, options, 2 * options.largest as u64 + 1);
-        final_level.retain(|h| h.key(system, outliers) != best.key(system, outliers));
-        final_level.insert(0, best.clone());
-    }
     let variance = best.fit.variance();
     let top = best.criterion(&base.fit, variance);
     let behind = |h: &Hypothesis| h.criterion(&base.fit, variance) - top;
@@ -280,38 +271,6 @@ fn ahead(refused: &[Refused], taken: &Hypothesis, base: &Fit) -> Option<NotIdent
     (lead(&best.0) > 0.0).then(|| best.1.clone())
 }
 
-/// Where something is left and the convex cross-check keeps an effect that the search lacks: the explanation that starts from what it keeps, if
-/// it is better by far.
-fn by_cross_check(
-    system: &dyn MeasurementModel,
-    base: &Hypothesis,
-    best: &Hypothesis,
-    test: &OmnibusTest,
-    largest: usize,
-) -> Option<Hypothesis> {
-    /// Size from which what the cross-check keeps is worth a refit, noise standard deviations.
-    const KEPT_SD: f64 = 5.0;
-    /// Lead in the criterion that it has to have.
-    const LEAD: f64 = 10.0;
-    let (residual, variance) = (base.fit.stacked(), best.fit.variance());
-    let kept = group_lasso(&test.signatures, &residual, base.fit.dof, variance.sqrt())?;
-    let kept: Vec<usize> =
-        kept.iter().filter(|k| k.size_sd > KEPT_SD).take(largest).map(|k| k.effect).collect();
-    let known = |e: &usize| best.fit.terms.iter().any(|t| t.effect == *e);
-    if kept.iter().all(known) {
-        return None;
-    }
-    let start = |e: &usize| {
-        let own = test.signatures.iter().filter(|s| s.term.effect == *e);
-        let top = own.max_by(|a, b| a.gain(&residual).total_cmp(&b.gain(&residual)))?;
-        Some(top.start(&residual, &system.catalogue()[*e].law(top.term.law)))
-    };
-    let terms: Vec<EffectTerm> = kept.iter().filter_map(start).collect();
-    let found = refit(system, &[terms], base).filter(|h| h.acceptable(system))?;
-    let scale = variance.min(found.fit.variance());
-    (found.criterion(&base.fit, scale) + LEAD < best.criterion(&base.fit, scale)).then_some(found)
-}
-
 /// One generic score alone explains the residual better than the accepted effects do.
 fn covariate_wins(base: &Hypothesis, test: &OmnibusTest, best: &Hypothesis, variance: f64) -> bool {
     const MARGIN: f64 = 10.0;
@@ -369,38 +328,5 @@ fn flag_anew(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
             let refitted = fit(system, &h.fit.terms, &weights, 15);
             refitted.map_or(h, |fit| Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 })
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::columns_system::ColumnsSystem;
-    use super::*;
-
-    #[test]
-    fn the_search_goes_on_from_what_the_cross_check_keeps() {
-        let wave = |k: f64| (0..100).map(|i| (0.17 * k * f64::from(i)).sin()).collect::<Vec<f64>>();
-        let sum = |a: &[f64], b: &[f64], share: f64| {
-            a.iter().zip(b).map(|(a, b)| a + share * b).collect::<Vec<f64>>()
-        };
-        let (a, b) = (wave(1.0), wave(2.3));
-        // The third column looks like both together, and leaves a rest.
-        let both = sum(&a, &b, 1.0);
-        let decoy = sum(&both, &wave(3.7), 0.7);
-        let clean: Vec<f64> = both.iter().map(|v| 3.0 * v).collect();
-        let system = ColumnsSystem::new(1, vec![a, b, decoy], &clean);
-        let weights = Weights::equal(100);
-        let options = Options::default();
-        let base = declared(&system, &weights, 1).unwrap();
-        let test = omnibus_test(&system, &base.fit, &weights, &options);
-        let explained = |effects: &[usize]| {
-            let terms: Vec<EffectTerm> = effects.iter().map(|&e| ColumnsSystem::term(e)).collect();
-            refit(&system, &[terms], &base).unwrap()
-        };
-        let from =
-            |best: &Hypothesis| by_cross_check(&system, &base, best, &test, 2).map(|h| h.effects(None));
-        assert_eq!(from(&explained(&[2])), Some(vec![0, 1]));
-        // Control: what is complete stays.
-        assert_eq!(from(&explained(&[0, 1])), None);
     }
 }

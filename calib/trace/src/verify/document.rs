@@ -58,7 +58,6 @@ pub fn document<M: SessionModel>(
             &unsealed.noise,
             &unsealed.left_out,
         ),
-        identifiability: identifiability::sentences(model, &conclusion.accepted),
         witness: second.as_ref().and_then(|s| s.decided.clone()),
         pictures: second,
         noise,

@@ -64,7 +64,6 @@ pub fn summarise(rows: &[HeldOut], quantities: &[Quantity], split: &str, seed: u
             .filter(|(_, i)| i.iter().all(|v| v.is_finite()))
             .collect(),
         points: rows.len(),
-        loo: None,
     })
 }
 

@@ -1,8 +1,7 @@
-//! The error on readings that no fit saw, before and after, beside a black-box rival.
+//! The error on readings that no fit saw, before and after.
 
 use super::conclusion::Conclusion;
 use super::error_summary::{coverage95, summarise};
-use super::gp_baseline::gp_baseline;
 use super::session_model::{Folds, HeldOut, Quantity, SessionModel};
 use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::{Hypothesis, SearchResult};
@@ -69,7 +68,7 @@ pub fn scored<M: SessionModel>(whole: &M, predictions: &M::Predictions, left_out
     (0..whole.scored().len()).filter(counts).map(|i| whole.errors(predictions, i)).collect()
 }
 
-/// Errors on the unsealed readings of `whole`, beside a rival that names nothing.
+/// Errors on the unsealed readings of `whole`.
 pub fn holdout_errors<M: SessionModel>(whole: &M, unsealed: &Unsealed<M::Predictions>, seed: u64) -> Errors {
     // Every sealed reading counts: which ones belong is no choice of the model that they judge.
     let of = |p: &M::Predictions| scored(whole, p, &[]);
@@ -78,16 +77,13 @@ pub fn holdout_errors<M: SessionModel>(whole: &M, unsealed: &Unsealed<M::Predict
     let without = |p: &M::Predictions| sum(&scored(whole, p, &unsealed.left_out));
     let trimmed =
         (!unsealed.left_out.is_empty()).then(|| [without(&unsealed.before), without(&unsealed.after)]);
-    let black_box = gp_baseline(whole, &unsealed.before, &[]);
     let counted: Vec<usize> = (0..whole.scored().len()).filter(|&i| whole.scored()[i]).collect();
-    let name = "black-box rival: Gaussian process of the residual on every covariate".to_owned();
     Errors {
         before: sum(&of(&unsealed.before)),
         after: sum(&rows),
         trimmed,
         noise_ratio: noise_ratio(whole, &unsealed.noise, &counted),
         coverage95: coverage95(&rows),
-        further: sum(&black_box).map(|e| (name, e)).into_iter().collect(),
         ..Errors::default()
     }
 }
@@ -150,9 +146,6 @@ pub fn cross_validate<M: SessionModel>(
     let after = leave.errors(&conclusion.accepted, &rivals, false);
     let repaired = leave.errors(&found.base, &[], false);
     let by_twin = leave.errors(&found.base, &[], true);
-    let with_map = |error: Option<HeldOutError>, p: &M::Predictions, declared: bool| {
-        error.map(|e| HeldOutError { loo: model.map_left_out(p, declared), ..e })
-    };
     let mut further = Vec::new();
     if !by_twin.is_empty()
         && let Some(e) = sum(&repaired)
@@ -172,8 +165,8 @@ pub fn cross_validate<M: SessionModel>(
         further.push((format!("accepted model on all {} readings, flagged ones among them", e.points), e));
     }
     Errors {
-        before: with_map(sum(declared), &unsealed.before, true),
-        after: with_map(sum(&after), &unsealed.after, false),
+        before: sum(declared),
+        after: sum(&after),
         coverage95: coverage95(&after),
         further,
         trimmed: None,

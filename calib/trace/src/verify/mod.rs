@@ -2,11 +2,9 @@
 
 pub mod acceptance;
 pub mod conclusion;
-pub mod copied_holdout;
 pub mod detect;
 mod document;
 pub mod error_summary;
-pub mod gp_baseline;
 pub mod held_out;
 pub mod holdout_check;
 pub mod identifiability;
@@ -15,6 +13,7 @@ pub mod noise_report;
 pub mod options;
 pub mod procedure;
 pub mod refutation;
+pub(crate) mod sealed_in_fit;
 pub mod session_model;
 mod support;
 

@@ -10,8 +10,7 @@ use crate::verify::options::VerifyOptions;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::Role;
 use wcal_core::verify_document::{
-    EffectParameter, MapLeftOut, NamedEffect, NextMeasurement, NoiseFloor, SecondWitness, TwinFault,
-    UnknownEffect,
+    EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, SecondWitness, TwinFault, UnknownEffect,
 };
 
 /// A held-out error of `verify.json`.
@@ -191,11 +190,6 @@ pub trait SessionModel: SessionText + Sized {
     fn by_outside_twin(&self, _weights: &Weights) -> Option<Self::Predictions> {
         None
     }
-    /// Leave-one-out error of the map from readings to the quantity wanted; `declared`: on the twin's labels where there are some.
-    fn map_left_out(&self, _predictions: &Self::Predictions, _declared: bool) -> Option<MapLeftOut> {
-        None
-    }
-
     /// Residual records of a reading, one a channel.
     fn records(
         &self,

@@ -8,7 +8,6 @@
     reason = "a test that fails should say where, and one that measures says what it found"
 )]
 
-mod copied_holdout;
 mod engine_stages;
 mod reference_noise;
 mod scalar_cells;

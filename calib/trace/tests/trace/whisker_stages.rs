@@ -2,7 +2,7 @@
 
 use std::path::Path;
 use std::sync::OnceLock;
-use wcal_core::observation::{Role, TwinLabel, WhiskerData, WhiskerRow};
+use wcal_core::observation::{TwinLabel, WhiskerData, WhiskerRow};
 use wcal_core::verify_document::{TwinFault, Verdict};
 use wcal_core::{Seal, SessionData};
 use wcal_trace::effect::EffectTerm;
@@ -14,8 +14,7 @@ use wcal_trace::method::options::Options;
 use wcal_trace::method::search::search;
 use wcal_trace::verify::conclusion::conclude;
 use wcal_trace::verify::detect;
-use wcal_trace::verify::error_summary::{coverage95, rmse, summarise};
-use wcal_trace::verify::gp_baseline::gp_baseline;
+use wcal_trace::verify::error_summary::{coverage95, summarise};
 use wcal_trace::verify::holdout_check::{HOLDOUT_LEVEL, holdout_p};
 use wcal_trace::verify::{HeldOut, SessionModel};
 use wcal_trace::whisker::WhiskerSystem;
@@ -187,23 +186,6 @@ fn a_holdout_like_the_points_agrees_and_a_moved_one_does_not() {
     };
     assert!(p_of(0.0) > 0.01);
     assert!(p_of(5.0) < HOLDOUT_LEVEL);
-}
-
-#[test]
-fn the_rival_has_no_part_of_what_is_sealed() {
-    let (data, system, found) = null();
-    let error = |moved_pm: f64, rest: bool| {
-        let mut data = data.clone();
-        // Rest rows of the sealed table count in no error; loaded ones do (control).
-        data.holdout
-            .relabel(|r| r.shift_pm[0] += if (r.role == Role::Rest) == rest { moved_pm } else { 0.0 });
-        let whole = system.whole(data.holdout.unseal(&Seal::default()).0).unwrap();
-        let noise = NoiseEstimator::new(system, 1).noise(&found.base, &[]).unwrap().0;
-        let before = whole.predict(&found.base, &noise.reading_sd(&whole.noise_inputs())).unwrap();
-        rmse(&gp_baseline(&whole, &before, &[]), 0)
-    };
-    assert!((error(0.0, true) - error(50.0, true)).abs() < 1e-9);
-    assert!(error(50.0, false) > error(0.0, false) + 10.0, "negative control");
 }
 
 // Several sessions.

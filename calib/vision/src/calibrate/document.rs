@@ -9,6 +9,7 @@ use nalgebra::DMatrix;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use wcal_core::covariance;
 use wcal_core::document::from_json;
 use wcal_core::ranges::{self, Range};
 
@@ -26,6 +27,12 @@ const RANGES: &[Range] = &[
     Range::whole("board.rows", 0.0, 1000.0),
     Range::whole("held_out.corners", 0.0, 1e9),
     Range::whole("provenance.seed", 0.0, 1.9e19),
+    Range::real("right_from_left_sd", 0.0, 1e9),
+    Range::real("rms_px", 0.0, 1e9),
+    Range::real("corner_noise_px", 0.0, 1e9),
+    Range::real("per_view_rms_px", 0.0, 1e9),
+    Range::real("warp_sd_mm", 0.0, 1e9),
+    Range::real("projection_sd_px", 0.0, 1e9),
     Range::real("", -1e18, 1e18),
 ];
 
@@ -209,9 +216,17 @@ impl StereoDocument {
                 right.model()
             ));
         }
-        let n = stereo.parameters();
-        let square = self.covariance.len() == n && self.covariance.iter().all(|r| r.len() == n);
-        stereo.covariance = square.then(|| DMatrix::from_fn(n, n, |i, j| self.covariance[i][j]));
+        // Cameras of other programs come without a covariance.
+        if !self.covariance.is_empty() {
+            let n = stereo.parameters();
+            covariance::check(&self.covariance, n).map_err(|why| format!("covariance: {why}"))?;
+            stereo.covariance = Some(DMatrix::from_fn(n, n, |i, j| self.covariance[i][j]));
+        }
+        let negative =
+            |c: &CameraDocument| c.sd.iter().find(|(_, sd)| !(**sd >= 0.0)).map(|(n, v)| (n.clone(), *v));
+        if let Some((name, sd)) = self.cameras.iter().find_map(negative) {
+            return Err(format!("sd of {name}: 0 or more expected, {sd} found"));
+        }
         Ok(stereo)
     }
 }

@@ -7,6 +7,7 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use wcal::fit_whisker;
 use wcal_acquisition::rig::RIG_FORMAT;
+use wcal_core::document;
 use wcal_core::format;
 use wcal_core::observation::{RestShape, WHISKER_RANGES, WhiskerSpec};
 use wcal_core::ranges::{self, Range};
@@ -66,14 +67,14 @@ fn shear_gpa() -> f64 {
 fn read(path: &Path) -> anyhow::Result<WhiskerFile> {
     let reading = || format!("reading {}", path.display());
     let text = wcal_core::files::read_text(path).with_context(reading)?;
-    let table: toml::Table = text.parse().with_context(reading)?;
+    let table = document::toml(&text).with_context(reading)?;
     // The keys are those of a session and of a rig, too; a table of one's own may state no format.
     let found = table.get("format").and_then(toml::Value::as_str);
     if table.contains_key("format") && found != Some(SESSION_FORMAT) && found != Some(RIG_FORMAT) {
         format::expect(fit_whisker::FORMAT, found).map_err(anyhow::Error::msg).with_context(reading)?;
     }
     ranges::check(&table, &[RANGES, WHISKER_RANGES]).with_context(reading)?;
-    toml::from_str(&text).with_context(reading)
+    document::toml_as(&text).with_context(reading)
 }
 
 /// Damping and contact of a file for MuJoCo's wire; the usual ones where it has none.

@@ -131,7 +131,7 @@ fn refuse_a_second(folder: &Path) -> anyhow::Result<()> {
     let path = folder.join("submission.json");
     let Ok(text) = wcal_core::files::read_text(&path) else { return Ok(()) };
     let last: Submission =
-        serde_json::from_str(&text).with_context(|| format!("reading {}", path.display()))?;
+        wcal_core::document::json_as(&text).with_context(|| format!("reading {}", path.display()))?;
     for job in last.array_job.iter().chain(&last.check_job) {
         let found = Command::new("squeue").args(["--noheader", "--format=%i %T", "--jobs", job]).output();
         // A job that ended some minutes ago is unknown: squeue fails, and so it may.

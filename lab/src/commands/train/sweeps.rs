@@ -137,8 +137,7 @@ fn same_whisker(sweeps: &Path, expected: &str) -> anyhow::Result<()> {
         );
         return Ok(());
     };
-    let document: serde_json::Value =
-        serde_json::from_str(&text).with_context(|| format!("reading {}", path.display()))?;
+    let document = wcal_core::document::json(&text).with_context(|| format!("reading {}", path.display()))?;
     let found = document["whisker"].as_str().unwrap_or("none");
     ensure!(found == expected, "{}: whisker: expected {expected}, found {found}", path.display());
     Ok(())

@@ -12,9 +12,9 @@ use wcal_acquisition::replay_interrogator::ReplayInterrogator;
 use wcal_acquisition::rig::Rig;
 use wcal_acquisition::run_file::RunFile;
 use wcal_acquisition::sweep::{Ending, StageEnd, acquire};
-use wcal_core::Role;
 use wcal_core::deadline::{Interrupt, Signal};
 use wcal_core::device::{DeviceErrorKind as Kind, Interrogator};
+use wcal_core::{Role, WhiskerRow};
 use wcal_drivers::Drivers;
 use wcal_drivers::bench::VirtualBench;
 use wcal_drivers::bench::faults::Fault;
@@ -53,15 +53,31 @@ fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
         assert!((0.8..1.2).contains(&row.shift_sd_pm.unwrap()[0]));
         assert!((180..=205).contains(&row.samples.unwrap()), "{:?}", row.samples);
     }
-    // Rows on the fly are where the stage was: their shifts lie on the settled curve.
-    for row in data.rows.iter().filter(|r| r.role == Role::Verification && r.trajectory == Some(1)) {
-        let m = wcal_drivers::bench::plant::Plant::moment_nmm(&mut plant, 1, row.stage_mm.unwrap());
-        let off = row.shift_pm[0] - row.reference_shift_pm.unwrap() - (72.0 * m[0] + 9.0 * m[1] + 3.0);
-        assert!(off.abs() < 20.0, "{off} pm at {:?} mm", row.stage_mm);
-    }
-    // The device clock is two minutes ahead of the host's; the delay between the devices is below the poll.
+    // Rows on the fly are where the stage was: their shifts lie on the settled curve. A row is the mean of ten scans of 1 pm: 0.3 pm; a stamp of
+    // the stage that is some milliseconds late is some tenths of a picometre at 1 mm/s, and tens of milliseconds on a busy computer.
+    let moving = data.rows.iter().filter(|r| r.role == Role::Verification && r.trajectory == Some(1));
+    let moving: Vec<_> = moving.collect();
+    let mut off_pm = |ahead_mm: f64| -> Vec<f64> {
+        let off = |row: &&WhiskerRow| {
+            let depth_mm = row.stage_mm.unwrap() + ahead_mm;
+            let m = wcal_drivers::bench::plant::Plant::moment_nmm(&mut plant, 1, depth_mm);
+            let heat = row.reference_shift_pm.unwrap();
+            (row.shift_pm[0] - heat - (72.0 * m[0] + 9.0 * m[1] + 3.0)).abs()
+        };
+        let mut all: Vec<f64> = moving.iter().map(off).collect();
+        all.sort_by(f64::total_cmp);
+        all
+    };
+    let off = off_pm(0.0);
+    let (middle, worst) = (off[off.len() / 2], off[off.len() - 1]);
+    assert!(middle < 1.0 && worst < 5.0, "{middle} pm in the middle, {worst} pm at worst");
+    // Negative control: a stage that is elsewhere by a tenth of a millimetre, as after a tenth of a second, is seen.
+    let elsewhere = off_pm(0.1);
+    assert!(elsewhere[elsewhere.len() / 2] > 1.0, "{elsewhere:?}");
+    // The device clock is two minutes ahead of the host's; the delay between the devices is below the poll (8 ms of wall time).
     assert!(reduction.clocks[0].offset_s > 60.0, "{:?}", reduction.clocks);
-    assert!(reduction.lag_s.iter().all(|s| s.abs() < 0.25), "{:?}", reduction.lag_s);
+    assert_eq!(reduction.lag_s.len(), 2, "one of each move between the devices");
+    assert!(reduction.lag_s.iter().all(|s| s.abs() < 0.008 * SPEED), "{:?}", reduction.lag_s);
     let again = wcal_acquisition::reduce::reduce(&order.folder).unwrap();
     assert_eq!(again.rows, reduction.rows, "reducing twice gives the same");
     assert!(go(&order).is_err(), "a session is never overwritten");

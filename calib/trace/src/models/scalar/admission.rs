@@ -1,11 +1,10 @@
 //! Which readings can be used at all.
 
 use super::frame::{Declared, ScalarRow, Scaling};
-use crate::verify::copied_holdout::{ComparedRow, bits, copied_holdout};
-use statrs::distribution::{ChiSquared, ContinuousCDF};
+use crate::verify::sealed_in_fit::sealed_in_fit;
+use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 use wcal_core::Sealed;
-use wcal_core::repeats::decimal_step;
 
 /// Fewer readings than this are refused.
 const MIN_ROWS: usize = 8;
@@ -44,12 +43,9 @@ pub(super) fn refusal(
             )),
         );
     }
-    let fitted: Vec<ComparedRow> = rows.iter().map(compared).collect();
+    let timed = |r: &ScalarRow| Some(vec![r.t_s?, r.x, r.y]);
     clock_fault(rows.iter().map(|r| r.t_s))
-        .or_else(|| {
-            sealed.refusal(|sealed| copied_holdout(&fitted, &sealed.iter().map(compared).collect::<Vec<_>>()))
-        })
-        .or_else(|| sealed.refusal(|sealed| jittered_holdout(rows, sealed)))
+        .or_else(|| sealed.refusal(|sealed| sealed_in_fit(rows.iter().map(timed), sealed.iter().map(timed))))
         .or_else(|| constant_response(rows, declared))
         .or_else(|| mistyped(rows, declared).map(|why| declared.format_text(&why)))
 }
@@ -74,64 +70,6 @@ pub fn clock_fault(times: impl Iterator<Item = Option<f64>>) -> Option<String> {
     ))
 }
 
-/// A reading as it is compared with those of the points table.
-fn compared(r: &ScalarRow) -> ComparedRow {
-    let more = [r.temperature_degc, r.cycle.map(f64::from)];
-    ComparedRow {
-        setting: bits(&[Some(r.x), r.direction]),
-        reading: vec![r.y],
-        rest: more.into_iter().chain(r.covariates.iter().map(|v| Some(*v))).map(|v| bits(&[v])[0]).collect(),
-        t_s: r.t_s,
-    }
-}
-
-/// Sealed readings that agree with fitted ones of the same stimulus far better than these agree with each other: copies with a little noise
-/// added. Fisher's combination of the chances that m repeats come as near; asked only where repeats tell the noise.
-fn jittered_holdout(rows: &[ScalarRow], sealed: &[ScalarRow]) -> Option<String> {
-    /// Degrees of freedom of the repeats, and sealed readings, below which nothing is said.
-    const MIN_DOF: usize = 8;
-    const MIN_SEALED: usize = 5;
-    /// An accusation: not once in a million honest sessions.
-    const LEVEL: f64 = 1e-6;
-    let mut cells: BTreeMap<[u64; 2], Vec<f64>> = BTreeMap::new();
-    let key = |r: &ScalarRow| [(r.x + 0.0).to_bits(), r.direction.unwrap_or(0.0).to_bits()];
-    rows.iter().for_each(|r| cells.entry(key(r)).or_default().push(r.y));
-    let spread = |y: &[f64]| {
-        let mean = y.iter().sum::<f64>() / y.len() as f64;
-        y.iter().map(|v| (v - mean).powi(2)).sum::<f64>()
-    };
-    let square: f64 = cells.values().map(|y| spread(y)).sum();
-    let dof: usize = cells.values().map(|y| y.len() - 1).sum();
-    let sd = (square / dof.max(1) as f64).sqrt();
-    if dof < MIN_DOF || !(sd > 0.0) {
-        return None;
-    }
-    // What rounding makes equal is no nearer than half a digit.
-    let step = decimal_step(&rows.iter().map(|r| r.y).collect::<Vec<f64>>()).unwrap_or(0.0);
-    let chances: Vec<f64> = sealed
-        .iter()
-        .filter_map(|r| {
-            let own = cells.get(&key(r)).filter(|own| own.len() > 1)?;
-            // Where the spread follows the stimulus, a steady place is judged by its own.
-            let sd = sd.min((spread(own) / (own.len() - 1) as f64).sqrt()).max(f64::MIN_POSITIVE);
-            let nearest = own.iter().map(|y| (y - r.y).abs()).fold(f64::INFINITY, f64::min).max(0.5 * step);
-            let single = statrs::function::erf::erf(nearest / (2.0 * sd));
-            Some((1.0 - (1.0 - single).powi(i32::try_from(own.len()).unwrap_or(i32::MAX))).max(1e-12))
-        })
-        .collect();
-    if chances.len() < MIN_SEALED {
-        return None;
-    }
-    let statistic = -2.0 * chances.iter().map(|p| p.ln()).sum::<f64>();
-    let chance = ChiSquared::new(2.0 * chances.len() as f64).map_or(1.0, |d| d.sf(statistic));
-    (chance < LEVEL).then(|| {
-        format!(
-            "{} rows of the holdout agree with fitted ones better than repeats do (p = {chance:.0e}): copies with a little noise prove nothing",
-            chances.len()
-        )
-    })
-}
-
 /// Factors of a decimal point in the wrong place.
 const DECIMALS: [f64; 6] = [10.0, 0.1, 100.0, 0.01, 1e3, 1e-3];
 /// Standard deviations beyond which a reading contradicts the others, and within which it agrees once the decimal point is moved.
@@ -140,19 +78,8 @@ const AGREES: f64 = 4.0;
 /// More levels than this are no table that was typed.
 const MAX_LEVELS: usize = 200;
 
-/// The numbers that two neighbouring digits make when they change places.
-fn digits_swapped(value: f64) -> Vec<f64> {
-    let text: Vec<char> = value.to_string().chars().collect();
-    let swapped = (1..text.len()).filter_map(|k| {
-        let mut text = text.clone();
-        text.swap(k - 1, k);
-        text.into_iter().collect::<String>().parse().ok()
-    });
-    swapped.filter(|other: &f64| *other != value && *other != 0.0).collect()
-}
-
-/// A level that contradicts all others, and agrees with them once the decimal point of its stimulus or its responses is moved, or two digits of
-/// its stimulus change places.
+/// A level all of whose readings contradict the declared law of the others, and agree with it once the decimal point of stimulus or responses is moved.
+/// A single reading between others, and one that contradicts its repeats, is an outlier like any other.
 fn mistyped(rows: &[ScalarRow], declared: Declared) -> Option<String> {
     let (degree, axis) = match declared {
         Declared::Polynomial(0) => return None,
@@ -166,92 +93,32 @@ fn mistyped(rows: &[ScalarRow], declared: Declared) -> Option<String> {
     if levels.len() < degree + 4 || levels.len() > MAX_LEVELS {
         return None;
     }
-    levels.iter().find_map(|&level| {
+    levels.into_iter().filter(|level| *level != 0.0).find_map(|level| {
         let (own, others): (Vec<&ScalarRow>, Vec<&ScalarRow>) = rows.iter().partition(|r| r.x == level);
-        let (low, high) = others.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), r| (a.min(r.x), b.max(r.x)));
-        let curve = Curve::fit(&others.iter().map(|r| (r.x, y(r))).collect::<Vec<_>>(), degree)?;
-        let wrong: Vec<&ScalarRow> =
-            own.iter().copied().filter(|r| curve.deviation(r.x, y(r)) > CONTRADICTS).collect();
-        // A single reading within the others' range is an outlier like any other.
-        let first = *wrong.first().filter(|r| wrong.len() > 1 || r.x < low || r.x > high)?;
-        let agrees = |stimulus: f64, response: f64| {
-            wrong.iter().all(|r| curve.deviation(stimulus * r.x, response * y(r)) < AGREES)
-        };
-        let count = wrong.len();
-        let swapped = || digits_swapped(first.x).into_iter().find(|right| agrees(right / first.x, 1.0));
-        let by_digits = |right: f64| {
-            format!(
-                "the stimulus {level} of {count} readings contradicts all others: their responses are those of {right} (two digits in each other's place?)"
-            )
-        };
-        let by_decimals = DECIMALS.into_iter().find_map(|factor| {
-            let right = first.x * factor;
-            if agrees(factor, 1.0) && first.x != 0.0 {
-                return Some(format!(
-                    "the stimulus {level} of {count} readings contradicts all others: their responses are those of {right} (a decimal point in the wrong place?)"
-                ));
-            }
-            (agrees(1.0, factor) && count > 1).then(|| {
-                format!(
-                    "{count} responses at the stimulus {level} contradict all others: times {factor} they agree (a decimal point in the wrong place?)"
-                )
-            })
-        });
-        by_decimals.or_else(|| Some(by_digits(swapped()?)))
-    })
-}
-
-/// A polynomial by least squares that knows how well it predicts.
-struct Curve {
-    middle: f64,
-    half: f64,
-    degree: usize,
-    coefficients: nalgebra::DVector<f64>,
-    inverse: nalgebra::DMatrix<f64>,
-    sd: f64,
-}
-
-impl Curve {
-    fn powers(&self, x: f64) -> nalgebra::DVector<f64> {
-        let u = (x - self.middle) / self.half;
-        nalgebra::DVector::from_fn(self.degree + 1, |k, _| u.powi(k as i32))
-    }
-
-    fn fit(pairs: &[(f64, f64)], degree: usize) -> Option<Self> {
-        let [low, high] =
-            pairs.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], p| [a.min(p.0), b.max(p.0)]);
-        let mut curve = Self {
-            middle: 0.5 * (low + high),
-            half: 0.5 * (high - low),
-            degree,
-            coefficients: nalgebra::DVector::zeros(degree + 1),
-            inverse: nalgebra::DMatrix::zeros(degree + 1, degree + 1),
-            sd: 0.0,
-        };
-        let dof = pairs.len().checked_sub(degree + 2).filter(|_| high > low)? + 1;
-        let mut normal = nalgebra::DMatrix::zeros(degree + 1, degree + 1);
-        let mut right = nalgebra::DVector::zeros(degree + 1);
-        for (x, y) in pairs {
-            let p = curve.powers(*x);
-            normal += &p * p.transpose();
-            right += p * *y;
-        }
-        curve.inverse = normal.try_inverse()?;
-        curve.coefficients = &curve.inverse * right;
-        let left: f64 =
-            pairs.iter().map(|(x, y)| (y - curve.powers(*x).dot(&curve.coefficients)).powi(2)).sum();
+        let scale = others.iter().map(|r| r.x.abs()).fold(0.0, f64::max);
+        let powers = |x: f64| (0..=degree).map(move |k| (x / scale).powi(k as i32));
+        let design = DMatrix::from_row_iterator(others.len(), degree + 1, others.iter().flat_map(|r| powers(r.x)));
+        let read = DVector::from_iterator(others.len(), others.iter().map(|r| y(r)));
+        let law = design.clone().svd(true, true).solve(&read, 1e-12).ok()?;
         // Readings that agree to the last bit are as good as their rounding.
-        let rounding = 1e-12 * pairs.iter().map(|p| p.1.abs()).fold(0.0, f64::max);
-        curve.sd = (left / dof as f64).sqrt().max(rounding);
-        (curve.sd > 0.0).then_some(curve)
-    }
-
-    /// Distance of a reading from the prediction in standard deviations of both.
-    fn deviation(&self, x: f64, y: f64) -> f64 {
-        let p = self.powers(x);
-        let spread = 1.0 + p.dot(&(&self.inverse * &p));
-        (y - p.dot(&self.coefficients)).abs() / (self.sd * spread.sqrt())
-    }
+        let dof = others.len().saturating_sub(degree + 1).max(1) as f64;
+        let sd = ((&read - design * &law).norm() / dof.sqrt()).max(1e-12 * read.amax());
+        let off = |r: &ScalarRow, [stimulus, response]: [f64; 2]| {
+            let predicted: f64 = powers(stimulus * r.x).zip(law.iter()).map(|(p, c)| p * c).sum();
+            (response * y(r) - predicted).abs() / sd
+        };
+        let beyond = others.iter().all(|r| r.x < level) || others.iter().all(|r| r.x > level);
+        let contradicts = sd > 0.0 && own.iter().all(|r| off(r, [1.0, 1.0]) > CONTRADICTS);
+        let tried = DECIMALS.map(|f| ([f, 1.0], "stimulus", f)).into_iter().chain(DECIMALS.map(|f| ([1.0, f], "response", f)));
+        let agrees = |factors: [f64; 2]| own.iter().all(|r| off(r, factors) < AGREES);
+        let (_, what, factor) = tried
+            .filter(|(_, what, _)| contradicts && (own.len() > 1 || beyond && *what == "stimulus"))
+            .find(|(factors, ..)| agrees(*factors))?;
+        Some(format!(
+            "the {} readings at the stimulus {level} contradict all others; with the {what} times {factor} they agree (a decimal point in the wrong place?)",
+            own.len()
+        ))
+    })
 }
 
 /// Parts of the stimulus that are sampled alike.
@@ -332,65 +199,5 @@ mod tests {
         // Control: every second row has one direction only.
         assert!(all.iter().step_by(2).all(|r| r.direction == Some(1.0)));
         assert_eq!(thin(rows(900)).len(), 900);
-    }
-
-    /// `sweeps` repeats of ten stimuli; the reading of number and stimulus.
-    fn table(sweeps: usize, y: impl Fn(usize, f64) -> f64) -> Vec<ScalarRow> {
-        let of = |(k, r): (usize, ScalarRow)| {
-            let x = (k % 10) as f64;
-            ScalarRow { x, y: y(k, x), direction: None, ..r }
-        };
-        rows(10 * sweeps).into_iter().enumerate().map(of).collect()
-    }
-
-    fn scatter(k: usize) -> f64 {
-        (k as f64 * 12.9898).sin() * 43758.5453 % 1.0
-    }
-
-    #[test]
-    fn two_digits_of_a_load_in_each_others_place_are_told_and_a_knee_is_none() {
-        // Loads of 0, 15, ..., 135 N; all readings at 75 N are entered as 57 N.
-        let read = |k: usize, load: f64| 0.2 * load + 0.01 * scatter(k);
-        let entered = |rows: Vec<ScalarRow>| -> Vec<ScalarRow> {
-            let of = |r: ScalarRow| ScalarRow { x: if r.x == 75.0 { 57.0 } else { r.x }, ..r };
-            rows.into_iter().map(of).collect()
-        };
-        let loads = |y: &dyn Fn(usize, f64) -> f64| -> Vec<ScalarRow> {
-            let of = |r: ScalarRow| ScalarRow { x: 15.0 * r.x, ..r };
-            table(3, |k, x| y(k, 15.0 * x)).into_iter().map(of).collect()
-        };
-        let declared = Declared::Polynomial(1);
-        let why = mistyped(&entered(loads(&read)), declared).unwrap();
-        assert!(why.contains("57") && why.contains("75") && why.contains("digits"), "{why}");
-        // Controls: as it was, and a response that bends at the last load.
-        assert_eq!(mistyped(&loads(&read), declared), None);
-        let bent = |k: usize, load: f64| read(k, load) - if load > 130.0 { 1.0 } else { 0.0 };
-        assert_eq!(mistyped(&loads(&bent), declared), None);
-    }
-
-    fn copied(points: &[ScalarRow], sealed: &[ScalarRow]) -> Option<String> {
-        let of = |rows: &[ScalarRow]| rows.iter().map(compared).collect::<Vec<_>>();
-        copied_holdout(&of(points), &of(sealed))
-    }
-
-    #[test]
-    fn a_holdout_that_was_in_the_fit_is_refused_and_an_honest_one_is_not() {
-        let points = table(4, |k, x| 2.0 * x + 0.1 * scatter(k));
-        let again = |jitter: f64| -> Vec<ScalarRow> {
-            let moved = |r: &ScalarRow| ScalarRow { y: r.y + jitter * scatter(r.origin.1), ..r.clone() };
-            points[10..20].iter().map(moved).collect()
-        };
-        assert!(copied(&points, &again(0.0)).is_some());
-        assert!(jittered_holdout(&points, &again(1e-4)).is_some());
-        // An honest one whose places scatter by ever less, a thousandth at the last.
-        let uneven = |k: usize, x: f64| 2.0 * x + 10f64.powf(-x / 3.0) * scatter(k);
-        let sealed = table(2, |k, x| uneven(k + 1000, x));
-        assert!(jittered_holdout(&table(4, uneven), &sealed).is_none());
-        let honest = table(2, |k, x| 2.0 * x + 0.1 * scatter(k + 1000));
-        assert!(jittered_holdout(&points, &honest).is_none() && copied(&points, &honest).is_none());
-        // A coarse gauge reads the same again.
-        let coarse = table(4, |k, x| (2.0 * x + 0.01 * scatter(k)).round());
-        let sealed = table(2, |k, x| (2.0 * x + 0.01 * scatter(k + 1000)).round());
-        assert!(copied(&coarse, &sealed).is_none() && jittered_holdout(&coarse, &sealed).is_none());
     }
 }

@@ -1,7 +1,6 @@
 //! The whisker session as a measurement model of the procedure.
 
 use super::floor::noise_floor;
-use super::map_left_out::leave_one_out;
 use super::next::{self, RIVALS};
 use super::physical::PhysicalModel;
 use super::pictures::Pictures;
@@ -16,7 +15,6 @@ use crate::method::explain::{Explained, explain};
 use crate::method::fit::{Fit, Weights};
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference;
-use crate::method::lasso::group_lasso;
 use crate::method::noise::{Estimated, Noise};
 use crate::method::omnibus::COVARIATE_LEVEL;
 use crate::method::search::declared;
@@ -25,9 +23,7 @@ use crate::verify::{HeldOut, SessionModel, SessionText, VerifyOptions};
 use nalgebra::Vector2;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::WhiskerRow;
-use wcal_core::verify_document::{
-    EffectParameter, MapLeftOut, NextMeasurement, NoiseFloor, SecondWitness, TwinFault,
-};
+use wcal_core::verify_document::{EffectParameter, NextMeasurement, NoiseFloor, SecondWitness, TwinFault};
 
 /// Change of the channels' shared noise from which the search is made again.
 const WHITENING_CHANGED: f64 = 1.1;
@@ -104,7 +100,6 @@ impl SessionText for WhiskerSystem {
 
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
         let mut notes = vec!["Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned()];
-        notes.extend(cross_check(self, found));
         notes.extend(model_error(self, found));
         notes.extend(unsteady(self));
         notes.extend(clock(self));
@@ -274,12 +269,6 @@ impl SessionModel for WhiskerSystem {
         by_labels(self, &labelled_moments(&self.data, &self.path)?, weights)
     }
 
-    fn map_left_out(&self, predictions: &Predictions, declared: bool) -> Option<MapLeftOut> {
-        let of_pose = || predictions.readings.iter().map(|p| p.pose_moment_nmm).collect::<Vec<_>>();
-        let labels = declared.then(|| labelled_moments(&self.data, &self.path)).flatten();
-        leave_one_out(&self.path, &labels.unwrap_or_else(of_pose))
-    }
-
     fn records(&self, before: &Predictions, after: &Predictions, at: &Record) -> Vec<ResidualRecord> {
         let (i, row) = (at.reading, self.row(at.reading));
         let of_channel = |c: usize| ResidualRecord {
@@ -393,15 +382,4 @@ fn clock(system: &WhiskerSystem) -> Option<String> {
             1e3 * stage_clock::CLOCK_SD_S
         )
     })
-}
-
-/// What the group lasso keeps on the declared model's residual.
-fn cross_check(system: &WhiskerSystem, found: &SearchResult) -> Option<String> {
-    let base = &found.base.fit;
-    let sd = found.best.fit.variance().sqrt();
-    let kept = group_lasso(&found.first_test.signatures, &base.stacked(), base.dof, sd)?;
-    let names: Vec<String> =
-        kept.iter().map(|k| format!("{} ({:.1} sd)", system.catalogue()[k.effect].id(), k.size_sd)).collect();
-    let list = if names.is_empty() { "nothing".to_owned() } else { names.join(", ") };
-    Some(format!("Cross-check by group lasso over the whole catalogue at the noise level: it keeps {list}."))
 }

@@ -6,7 +6,6 @@ pub mod effects;
 pub mod floor;
 pub mod groove_motion;
 pub mod judgement;
-mod map_left_out;
 mod measurement;
 pub mod next;
 mod noise;

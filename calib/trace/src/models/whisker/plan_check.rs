@@ -15,6 +15,7 @@ use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Weights, fit};
 use crate::method::inference::CLASS_COSINE;
 use crate::method::signature::{Signature, nuisance, signatures_of_catalogue};
+use schemars::JsonSchema;
 use serde::Serialize;
 use wcal_core::WhiskerData;
 use wcal_core::observation::{Role, WhiskerRow};
@@ -23,7 +24,7 @@ use wcal_core::observation::{Role, WhiskerRow};
 const TYPICAL_PM_PER_NMM: [[f64; 2]; 2] = [[75.0, 6.0], [-6.0, 75.0]];
 
 /// What a plan can say of an effect.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct PlannedEffect {
     /// Effect.
     pub id: String,
@@ -38,7 +39,7 @@ pub struct PlannedEffect {
 }
 
 /// Something that could be added to the plan, and what it would do.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct Addition {
     /// What.
     pub what: String,
@@ -49,7 +50,7 @@ pub struct Addition {
 }
 
 /// The answer for a plan.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct PlanCheck {
     /// Every effect of the catalogue.
     pub effects: Vec<PlannedEffect>,

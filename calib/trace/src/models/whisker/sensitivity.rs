@@ -7,7 +7,6 @@
 //!
 //! M. S. Bartlett, J. R. Stat. Soc. Suppl. 9 (1947) 176: test of the smallest canonical correlation.
 
-use super::noise::step_pm;
 use super::system::WhiskerSystem;
 use crate::error::TraceError;
 use crate::method::linear::Basis;
@@ -23,11 +22,6 @@ const RESPONSE_LEVEL: f64 = 1e-3;
 const CLIP: f64 = 8.0;
 /// Smallest share of a direction that is there at all: poses in one plane load one direction.
 const SAME_DIRECTION: f64 = 1e-3;
-/// Consecutive readings that a grating at work does not repeat to the last digit while the load changes.
-const MIN_FROZEN: usize = 5;
-/// Change of the predicted shift over such a run, in steps of the written values and in robust deviations of the readings around it.
-const FROZEN_STEPS: f64 = 10.0;
-
 /// Why the session's gratings cannot carry a calibration; none where they respond to the load in two directions.
 ///
 /// # Errors
@@ -44,8 +38,7 @@ pub fn lost_sensitivity(data: &WhiskerData) -> Result<Option<String>, TraceError
 /// The same of a session whose model is there.
 pub(super) fn of_system(system: &WhiskerSystem) -> Option<String> {
     let rod = system.moments(&[])?.0;
-    let lost =
-        |moments: &Vec<[f64; 2]>| frozen(system, moments).or_else(|| without_response(system, moments));
+    let lost = |moments: &Vec<[f64; 2]>| without_response(system, moments);
     // A response to either twin is one.
     let of_either = || {
         let by_rod = lost(&rod)?;
@@ -85,59 +78,6 @@ fn constant(system: &WhiskerSystem) -> Option<String> {
         named.join(" and "),
         loaded.len()
     ))
-}
-
-/// A grating that stands still for a part of the session while the load changes.
-fn frozen(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String> {
-    let n = moments.len();
-    for g in 0..2 {
-        let runs = runs_of(n, |a, b| raw(system, a, g) == raw(system, b, g));
-        let inside = |i: usize| runs.iter().any(|r| r.contains(&i));
-        let outside: Vec<usize> = (0..n).filter(|&i| !inside(i)).collect();
-        if runs.is_empty() || outside.len() < MIN_LOADED {
-            continue;
-        }
-        // The response outside the runs says how far the reading should have moved within one.
-        let x =
-            DMatrix::from_fn(outside.len(), 3, |k, j| if j == 0 { 1.0 } else { moments[outside[k]][j - 1] });
-        let y = DVector::from_fn(outside.len(), |k, _| system.path.readings[outside[k]].shift_pm[g]);
-        let Ok(b) = x.clone().svd(true, true).solve(&y, 1e-9) else { continue };
-        let scatter = robust_sd((&y - &x * &b).as_slice());
-        let limit = FROZEN_STEPS * step_pm(&system.data, g).unwrap_or(0.0).max(scatter).max(1e-6);
-        let should = |i: &usize| b[1] * moments[*i][0] + b[2] * moments[*i][1];
-        let moved = |r: &std::ops::Range<usize>| {
-            let values: Vec<f64> = r.clone().map(|i| should(&i)).collect();
-            values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
-                - values.iter().copied().fold(f64::INFINITY, f64::min)
-        };
-        if let Some(run) = runs.iter().find(|r| moved(r) > limit) {
-            let point = |i: usize| system.row(i).point;
-            return Some(format!(
-                "No sensitivity: fbg_{} is frozen from point {} to point {}: {} readings alike to the last digit where {:.0} pm of change were due.",
-                g + 1,
-                point(run.start),
-                point(run.end - 1),
-                run.len(),
-                moved(run)
-            ));
-        }
-    }
-    None
-}
-
-/// Runs of at least [`MIN_FROZEN`] neighbours that are alike.
-fn runs_of(n: usize, alike: impl Fn(usize, usize) -> bool) -> Vec<std::ops::Range<usize>> {
-    let mut runs = Vec::new();
-    let mut start = 0;
-    for i in 1..=n {
-        if i == n || !alike(i - 1, i) {
-            if i - start >= MIN_FROZEN {
-                runs.push(start..i);
-            }
-            start = i;
-        }
-    }
-    runs
 }
 
 /// Gratings whose readings do not follow the load, or follow one direction of it only.

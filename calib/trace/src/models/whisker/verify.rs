@@ -8,7 +8,7 @@ use super::twin_check::{LabelReport, check_labels};
 use crate::error::TraceError;
 use crate::method::explain::noise_for_predictions;
 use crate::method::hypothesis::SearchResult;
-use crate::verify::copied_holdout::{ComparedRow, bits, copied_holdout};
+use crate::verify::sealed_in_fit::sealed_in_fit;
 use crate::verify::{Verification, VerifyOptions, verify};
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
 use wcal_core::verify_document::{HeldOutError, VerifyDocument};
@@ -66,23 +66,12 @@ fn unusable(data: &WhiskerData) -> Option<String> {
             times[k]
         ));
     }
-    let fitted: Vec<ComparedRow> = data.rows.iter().filter(|r| r.role != Role::Rest).map(compared).collect();
+    let timed = |r: &WhiskerRow| Some([&[r.t_s?, r.stage_mm?], &r.shift_pm[..]].concat());
+    let fitted = || data.rows.iter().filter(|r| r.role != Role::Rest).map(timed);
     data.holdout.refusal(|rows| {
-        let sealed: Vec<ComparedRow> = rows.iter().filter(|r| r.sealed).map(compared).collect();
-        Some(format!("{}.", copied_holdout(&fitted, &sealed)?))
+        let sealed = rows.iter().filter(|r| r.sealed).map(timed);
+        Some(format!("{}.", sealed_in_fit(fitted(), sealed)?))
     })
-}
-
-/// A reading as it is compared with those of the points table.
-fn compared(r: &WhiskerRow) -> ComparedRow {
-    let groove = r.groove_mm.map_or([None; 3], |g| [Some(g.x), Some(g.y), Some(g.z)]);
-    let [x, y, z] = groove;
-    ComparedRow {
-        setting: bits(&[r.trajectory.map(f64::from), r.stage_mm, x, y, z, r.direction]),
-        reading: r.shift_pm.to_vec(),
-        rest: bits(&[r.temperature_degc, r.reference_shift_pm]),
-        t_s: r.t_s,
-    }
 }
 
 /// Verifies a whisker session.

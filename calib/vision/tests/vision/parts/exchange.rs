@@ -121,3 +121,28 @@ fn an_unknown_lens_in_stereo_json_is_refused_by_name() {
     value["cameras"][1]["distortion"]["coefficients"] = serde_json::json!([0.0, 0.0, 0.0, 0.0]);
     assert!(parse(&value).unwrap_err().to_string().contains("lenses of one model"));
 }
+
+/// A variance below zero made the stated uncertainty of every shape smaller.
+#[test]
+fn a_negative_variance_in_stereo_json_is_refused() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/pictured/stereo.json");
+    let good: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let parse = |v: &serde_json::Value| StereoDocument::parse("stereo.json", &v.to_string());
+    assert!(parse(&good).is_ok(), "negative control");
+    let changed = |way: &str, value: serde_json::Value| {
+        let mut changed = good.clone();
+        *changed.pointer_mut(way).unwrap() = value;
+        changed
+    };
+    let row = good["covariance"][0].clone();
+    for (way, value, says) in [
+        ("/covariance/3/3", (-1e-9).into(), "covariance: variances of 0 or more"),
+        ("/covariance/0/1", 1e6.into(), "covariance: a symmetric matrix"),
+        ("/covariance", serde_json::json!([row]), "covariance: 24 rows"),
+        ("/cameras/0/sd/fx", (-0.1).into(), "sd of fx"),
+        ("/right_from_left_sd/0", (-0.1).into(), "right_from_left_sd"),
+    ] {
+        let error = parse(&changed(way, value)).unwrap_err().to_string();
+        assert!(error.contains("stereo.json") && error.contains(says), "{way}: {error}");
+    }
+}

@@ -62,4 +62,34 @@ fn two_files_of_one_number_are_refused() {
 fn patterns() {
     assert!(matches_pattern(b"left*.jpg", b"left01.jpg"));
     assert!(!matches_pattern(b"left*.jpg", b"right01.jpg"));
+    // By the definition, letter by letter, over every pattern and name of few letters.
+    fn by_definition(pattern: &[u8], name: &[u8]) -> bool {
+        match (pattern, name) {
+            ([], []) => true,
+            ([b'*', rest @ ..], _) => (0..=name.len()).any(|k| by_definition(rest, &name[k..])),
+            ([p, rest @ ..], [n, others @ ..]) => (*p == b'?' || p == n) && by_definition(rest, others),
+            _ => false,
+        }
+    }
+    let words = |letters: &[u8], longest: u32| -> Vec<Vec<u8>> {
+        let of_length = |length: u32| {
+            let count = letters.len().pow(length);
+            (0..count).map(move |k| {
+                (0..length).map(|d| letters[k / letters.len().pow(d) % letters.len()]).collect()
+            })
+        };
+        (0..=longest).flat_map(of_length).collect()
+    };
+    let (mut yes, mut no) = (0, 0);
+    for pattern in words(b"ab*?", 4) {
+        for name in words(b"ab", 5) {
+            let found = matches_pattern(&pattern, &name);
+            assert_eq!(found, by_definition(&pattern, &name), "{pattern:?} {name:?}");
+            if found { yes += 1 } else { no += 1 }
+        }
+    }
+    assert!(yes > 1000 && no > 1000, "{yes} {no}");
+    // Many stars before a letter that is not there: a search that tries every way takes longer than the universe is old.
+    let stars = [b"*a".repeat(40), b"*b".to_vec()].concat();
+    assert!(!matches_pattern(&stars, &b"a".repeat(200)));
 }

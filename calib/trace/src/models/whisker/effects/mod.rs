@@ -7,7 +7,6 @@ mod contact_offset;
 mod creep;
 mod dead_zone;
 mod fbg_nonlinearity;
-mod fluid_drag;
 mod gravity;
 mod groove_friction;
 mod hysteresis;
@@ -50,7 +49,6 @@ pub fn whisker_catalogue() -> Vec<Arc<dyn WhiskerEffect>> {
         Arc::new(dead_zone::DeadZone),
         Arc::new(wire_taper::WireTaper),
         Arc::new(slip_outliers::SlipOutliers),
-        Arc::new(fluid_drag::FluidDrag),
         Arc::new(gravity::Gravity),
         Arc::new(camera_pose::CameraPose),
         Arc::new(board_scale::BoardScale),

@@ -1,38 +1,21 @@
-//! `wcal doctor`: what a session holds, what it lacks, and what looks wrong.
+//! `wcal verify --check`: what a session holds, what it lacks, and what looks wrong; nothing is fitted.
 
 use crate::simulated::word;
-use clap::Args;
-use std::path::PathBuf;
+use schemars::JsonSchema;
+use serde::Serialize;
+use std::path::Path;
 use std::process::ExitCode;
-use wcal_core::SessionData;
+use wcal_core::{InputFile, SessionData, SessionKind};
 use wcal_session::{Finding, LoadedSession, Severity, attach_holdout, examine, load};
 use wcal_trace::whisker::sensitivity::lost_sensitivity;
 
-/// Arguments of `wcal doctor`.
-#[derive(Debug, Args)]
-#[command(after_help = "Example:
-  wcal doctor fixtures/whiskerfbg
-
-Exit code 0: fit for use; 3: usable, with warnings that matter; 1: cannot be used.")]
-pub struct DoctorArgs {
-    /// Session folder
-    pub session: PathBuf,
-    /// Independent test data, not used in the fit: another session, or a table
-    #[arg(long, value_name = "SESSION-or-CSV")]
-    pub holdout: Option<PathBuf>,
-    /// Print the findings as JSON on stdout
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// Runs the command. A session that cannot be read is a finding too, with exit code 1.
+/// Exit code 0: fit for use; 3: usable, with warnings that matter; 1: cannot be used. A session that cannot be read is a finding, too.
 ///
 /// # Errors
 /// Where the findings cannot be printed.
-pub fn run(args: &DoctorArgs) -> anyhow::Result<ExitCode> {
-    crate::session_folder::expect_session(&args.session, "doctor")?;
-    let loaded = load(&args.session).and_then(|mut session| {
-        if let Some(holdout) = &args.holdout {
+pub fn check(folder: &Path, holdout: Option<&Path>, as_json: bool) -> anyhow::Result<ExitCode> {
+    let loaded = load(folder).and_then(|mut session| {
+        if let Some(holdout) = holdout {
             attach_holdout(&mut session, holdout)?;
         }
         Ok(session)
@@ -50,8 +33,8 @@ pub fn run(args: &DoctorArgs) -> anyhow::Result<ExitCode> {
         }
     };
     let worst = findings.iter().map(|f| f.severity).max().unwrap_or(Severity::Ok);
-    if args.json {
-        print_json(args, session.as_ref(), &findings, worst)?;
+    if as_json {
+        print_json(folder, session.as_ref(), &findings, worst)?;
     } else {
         print_text(session.as_ref(), &findings);
     }
@@ -69,22 +52,44 @@ fn sensitivity(session: &LoadedSession) -> Option<Finding> {
     Some(Finding { severity: Severity::Error, topic: "sensitivity".to_owned(), message })
 }
 
+/// Findings about a session.
+#[derive(Serialize, JsonSchema)]
+pub struct CheckDocument<'a> {
+    /// Format and version.
+    #[schemars(extend("const" = "wcal-check/1"))]
+    format: &'static str,
+    /// Identifier; null where it cannot be read.
+    session: Option<&'a str>,
+    /// Kind; null where it cannot be read.
+    kind: Option<SessionKind>,
+    /// The session is simulated.
+    simulated: bool,
+    /// Folder.
+    folder: &'a Path,
+    /// Worst finding.
+    worst: Severity,
+    /// Findings.
+    findings: &'a [Finding],
+    /// Files read.
+    inputs: &'a [InputFile],
+}
+
 fn print_json(
-    args: &DoctorArgs,
+    folder: &Path,
     session: Option<&LoadedSession>,
     findings: &[Finding],
     worst: Severity,
 ) -> anyhow::Result<()> {
-    let document = serde_json::json!({
-        "format": "wcal-doctor/1",
-        "session": session.map(|s| s.id.clone()),
-        "kind": session.map(|s| s.kind),
-        "simulated": session.is_some_and(|s| s.simulated),
-        "folder": args.session,
-        "worst": worst,
-        "findings": findings,
-        "inputs": session.map(|s| s.inputs.clone()).unwrap_or_default(),
-    });
+    let document = CheckDocument {
+        format: "wcal-check/1",
+        session: session.map(|s| s.id.as_str()),
+        kind: session.map(|s| s.kind),
+        simulated: session.is_some_and(|s| s.simulated),
+        folder,
+        worst,
+        findings,
+        inputs: session.map_or(&[], |s| &s.inputs),
+    };
     println!("{}", serde_json::to_string_pretty(&document)?);
     Ok(())
 }

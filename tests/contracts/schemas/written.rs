@@ -216,9 +216,6 @@ pub fn pages_come_again(folder: &Path) {
         "judged",
         "map",
         "shapes",
-        "sweeps",
-        "model",
-        "evaluation",
     ] {
         let page = folder.join(name).join("report.html");
         let first = std::fs::read(&page).unwrap_or_else(|e| panic!("{name}: {e}"));

@@ -146,7 +146,8 @@ fn the_default_build_has_nothing_of_the_lab() {
     let packages = json["packages"].as_array().expect("packages");
     let members = json["workspace_default_members"].as_array().expect("default members");
     let names = packages.iter().filter(|p| members.contains(&p["id"])).filter_map(|p| p["name"].as_str());
-    let names: Vec<String> = names.map(str::to_owned).collect();
+    let mut names: Vec<String> = names.map(str::to_owned).collect();
+    names.sort_unstable();
     assert_eq!(names, ["wcal", "wcal-mujoco-engine"]);
     let foreign = ["wcal-lab", "wcal-plant", "wcal-exam", "burn", "parquet"];
     let of = |names: &[String]| {

@@ -8,6 +8,8 @@ const MIN_RUN: usize = 6;
 /// Pairs of repeats outside the runs that tell whether repeats agree, and the share that may.
 const MIN_PAIRS: usize = 5;
 const MAX_AGREEING: f64 = 0.1;
+/// Longer tables come from programs, which paste nothing.
+const MAX_ROWS: usize = 20_000;
 /// A gauge with no more steps over what was read is coarse: its repeats agree. 12 bits.
 const COARSE_STEPS: f64 = 4096.0;
 
@@ -34,7 +36,7 @@ pub(crate) fn copies(rows: &[Row]) -> Vec<usize> {
         (known, known.is_some_and(|first| row.t_s.is_some() && row.t_s == rows[first].t_s))
     };
     let found = repeated(&rows.iter().enumerate().map(repeat).collect::<Vec<_>>());
-    if repeats_agree(rows, &found) { Vec::new() } else { found }
+    if rows.len() > MAX_ROWS || repeats_agree(rows, &found) { Vec::new() } else { found }
 }
 
 /// Places of rows that are copies, from the place of the row that each repeats, and whether it is one beyond doubt; runs of others count.

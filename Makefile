@@ -38,7 +38,7 @@ check: program
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 	@if command -v cargo-deny >/dev/null; then cargo deny --workspace check; else echo "check: cargo-deny is not installed: known vulnerabilities are not checked"; fi
 
-# README's table of results: what takes minutes is run, what takes an hour comes from the dated records of docs/src/lab-notes.
+# README's table of results, by running its rows.
 results: program
 	WCAL_WRITE_DOCS=1 cargo test --workspace --locked --test contracts results::
 

@@ -1,4 +1,4 @@
-//! README's table of results, row by row from what makes it: commands that are run here, records that the exam wrote, and dated lab notes.
+//! README's table of results, row by row from the commands that make it, which are run here.
 //!
 //! `make results` writes the table (`WCAL_WRITE_DOCS=1 cargo test --workspace --test contracts results::`); without it the test compares.
 
@@ -6,12 +6,9 @@ use crate::support::{program, repository};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-use wcal_exam::clopper_pearson;
 
 const BEGIN: &str = "<!-- results: written by `make results` -->\n";
 const END: &str = "<!-- end of results -->\n";
-const RECORDS: &str = "docs/src/lab-notes/exam";
-const TRACKING: &str = "docs/src/lab-notes/tracking.md";
 
 fn read(name: &str) -> String {
     fs::read_to_string(repository(name)).unwrap_or_else(|e| unreachable!("{name}: {e}"))
@@ -125,154 +122,9 @@ fn whisker() -> Row {
     ]
 }
 
-/// A record of the exam.
-struct Record(Value);
-
-impl Record {
-    fn read(mix: &str) -> Self {
-        let record: Value = serde_json::from_str(&read(&format!("{RECORDS}/{mix}.json"))).unwrap();
-        assert_eq!(
-            (record["format"].as_str(), record["mix"].as_str()),
-            (Some("wcal-exam-record/1"), Some(mix))
-        );
-        Self(record)
-    }
-
-    /// Hits and trials of a score.
-    fn counts(&self, score: &str) -> [u64; 2] {
-        let row = self.0["rows"].as_array().unwrap().iter().find(|r| r["score"] == score);
-        let row = row.unwrap_or_else(|| unreachable!("{score}"));
-        ["hits", "trials"].map(|key| row[key].as_u64().unwrap())
-    }
-
-    fn said(&self) -> String {
-        let of = |key: &str| self.0[key].as_str().unwrap_or_default().to_owned();
-        let changed = if self.0["changed_since_commit"] == true { " with changes" } else { "" };
-        format!("`{}`, seed {}, {}, commit {}{changed}", of("mix"), self.0["seed"], of("date"), of("commit"))
-    }
-
-    fn noises(&self) -> usize {
-        self.0["noises"].as_array().unwrap().len()
-    }
-}
-
-/// Hits of trials with the 95 % interval of their share.
-fn share(hits: u64, trials: u64) -> String {
-    let (low, high) = clopper_pearson(hits as usize, trials as usize);
-    format!("{hits} of {trials} [{:.1} to {:.1} %]", 100.0 * low, 100.0 * high)
-}
-
-const EXAM: &str = "[the exam](docs/src/exam.md)";
-
-fn nulls() -> Row {
-    let (whisker, lines) = (Record::read("noise-null"), Record::read("scalar-null"));
-    let both = |what: &str| {
-        let [a, b] =
-            [whisker.counts(&format!("every noise: {what}")), lines.counts(&format!("lines: {what}"))];
-        [a[0] + b[0], a[1] + b[1]]
-    };
-    let ([named, of], [unknown, _]) = (both("false names on nulls"), both("nulls called unknown-effect"));
-    [
-        "`verify` where nothing is wrong: sessions in which it says that something is".to_owned(),
-        format!(
-            "SIMULATED, {of} draws, {} kinds of noise, every layout ({}; {})",
-            whisker.noises() + lines.noises(),
-            whisker.said(),
-            lines.said()
-        ),
-        String::new(),
-        format!(
-            "{} with a false name; {unknown} called unknown-effect, with a name or without",
-            share(named, of)
-        ),
-        EXAM.to_owned(),
-    ]
-}
-
-fn singles() -> Row {
-    let record = Record::read("noise-single");
-    let [right, of] = record.counts("every noise: singles >= 8 sigma right");
-    let [wrong, _] = record.counts("every noise: singles >= 8 sigma, wrong name");
-    [
-        "`verify` with one effect of 8 sigma or more: the right class named".to_owned(),
-        format!(
-            "SIMULATED, {} draws, {} kinds of noise, every layout ({})",
-            record.0["drawn"],
-            record.noises(),
-            record.said()
-        ),
-        String::new(),
-        format!("{}; a wrong name in {wrong}", share(right, of)),
-        EXAM.to_owned(),
-    ]
-}
-
-/// Cells of the rows of a table in the lab notes, below a heading and under a head.
-fn noted(heading: &str, head: &str) -> Vec<Vec<String>> {
-    let notes = read(TRACKING);
-    let section =
-        notes.split("\n## ").find(|s| s.starts_with(heading)).unwrap_or_else(|| unreachable!("{heading}"));
-    let table = section.split_once(head).unwrap_or_else(|| unreachable!("{head}")).1;
-    let rows = table.lines().skip(2).take_while(|l| l.starts_with('|'));
-    rows.map(|l| l.trim_matches('|').split('|').map(|c| c.trim().to_owned()).collect()).collect()
-}
-
-fn date(heading: &str) -> &str {
-    heading.split(' ').find(|w| w.starts_with("20")).unwrap()
-}
-
-const LAB_NOTES: &str = "[lab notes](docs/src/lab-notes/tracking.md)";
-
-fn groove() -> Row {
-    let heading = "Noise as instruments make it, on the groove, 2026-11-25";
-    let rows = noted(heading, "| noise | before: error / bound, mm | ratio | held | after: ratio | held |");
-    // Where the later tracker was not run, the row of the earlier one stands.
-    let newest = |r: &Vec<String>| {
-        if r[4] == "not run" { [r[2].clone(), r[3].clone()] } else { [r[4].clone(), r[5].clone()] }
-    };
-    let newest: Vec<[String; 2]> = rows.iter().map(newest).collect();
-    let earlier = rows.iter().filter(|r| r[4] == "not run").count();
-    let mut ratios: Vec<f64> = newest.iter().map(|r| r[0].parse().unwrap()).collect();
-    ratios.sort_by(f64::total_cmp);
-    let held = |r: &[String; 2]| -> (u64, u64) {
-        let (k, n) = r[1].split(' ').next().unwrap().split_once('/').unwrap();
-        (k.parse().unwrap(), n.parse().unwrap())
-    };
-    let counts: Vec<(u64, u64)> = newest.iter().map(held).collect();
-    let mut shares: Vec<f64> = counts.iter().map(|(k, n)| 100.0 * *k as f64 / *n as f64).collect();
-    shares.sort_by(f64::total_cmp);
-    let (least, most) =
-        (counts.iter().map(|c| c.1).min().unwrap(), counts.iter().map(|c| c.1).max().unwrap());
-    [
-        "contact on the groove, motion known: error / Cramer-Rao bound; trajectories whose 95 % regions hold it".to_owned(),
-        format!(
-            "SIMULATED, calibrations of 27 poses, {} kinds of noise ({earlier} by the tracker before), {least} to {most} trajectories each, {}",
-            rows.len(),
-            date(heading)
-        ),
-        String::new(),
-        format!("{:.2} to {:.2}; {:.0} to {:.0} %", ratios[0], ratios[ratios.len() - 1], shares[0], shares[shares.len() - 1]),
-        LAB_NOTES.to_owned(),
-    ]
-}
-
-fn tracker() -> Row {
-    let heading = "The shipped model, 2026-11-23";
-    let rows = noted(heading, "| RMSE from the surface | seen | unseen |");
-    let bench = rows.iter().find(|r| r[0].starts_with("VIRTUAL real bench")).unwrap();
-    [
-        "contact tracking by the network: distance from the surface only, objects seen / unseen in training"
-            .to_owned(),
-        format!("SIMULATED, virtual bench, twelve sweeps a scan, {}", date(heading)),
-        String::new(),
-        format!("{} / {} mm", bench[1], bench[2]),
-        LAB_NOTES.to_owned(),
-    ]
-}
-
 fn table(rows: &[Row]) -> String {
     let line = |cells: &[String]| format!("| {} |\n", cells.join(" | ")).replace("|  |", "| |");
-    let head = ["what", "scope", "before", "after", "verdict, or where it stands"].map(str::to_owned);
+    let head = ["what", "scope", "before", "after", "verdict"].map(str::to_owned);
     let mut out = line(&head) + "|---|---|---|---|---|\n";
     rows.iter().for_each(|row| out += &line(row));
     out
@@ -285,7 +137,7 @@ fn between(page: &str) -> Option<&str> {
 #[test]
 fn the_table_of_results_is_what_its_script_writes() {
     let mut pontius = fixture("nist/pontius");
-    let rows = [load_cell(&pontius), actuator(), whisker(), nulls(), singles(), groove(), tracker()];
+    let rows = [load_cell(&pontius), actuator(), whisker()];
     let found = table(&rows);
     let readme = read("README.md");
     let stands = between(&readme).unwrap();
@@ -295,12 +147,8 @@ fn the_table_of_results_is_what_its_script_writes() {
     } else {
         assert_eq!(stands, found, "README.md: make results writes the table");
     }
-    // Each row says what its data are, and those that are not run here of which day they are.
-    let dated = |r: &Row| r[1].contains(", 20");
-    assert!(
-        rows.iter().all(|r| r[1].starts_with("measured, ") != (r[1].starts_with("SIMULATED, ") && dated(r))),
-        "{rows:?}"
-    );
+    // Each row says what its data are.
+    assert!(rows.iter().all(|r| r[1].starts_with("measured, ")), "{rows:?}");
     // Negative control: another result is another table.
     pontius["after"]["response_rmse"] = 3.0e-4.into();
     assert_ne!(table(&[load_cell(&pontius)]), table(&rows[..1]));

@@ -6,7 +6,6 @@ use clap::Args;
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::io::{BufRead, IsTerminal, Write};
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::mpsc::{RecvTimeoutError, channel};
@@ -52,9 +51,6 @@ pub struct StageSweepArgs {
     /// Home the stage if it has no reference (moves to the home switch)
     #[arg(long)]
     pub home: bool,
-    /// Serve a live view for Foxglove (Open connection, ws://127.0.0.1:8765); on loopback unless an address is given
-    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
-    pub live: Option<SocketAddr>,
     /// Check limits and print the path, and what the plan can show of each effect, without moving
     #[arg(long)]
     pub dry_run: bool,
@@ -100,8 +96,6 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         folder: folder.clone(),
         resume,
         home: arguments.home,
-        live: arguments.live,
-        on_live: |address| eprintln!("stage-sweep: live view at ws://{address} (Foxglove: Open connection)"),
         ask_board,
         created: created(),
         command: std::env::args().collect(),

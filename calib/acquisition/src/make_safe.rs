@@ -1,9 +1,9 @@
 //! The end of a sweep that stopped: the stage stands, the cause is recorded, and the wire is left where that is safe.
 
 use crate::message::SweepEvent;
+use crate::recorder::Level;
 use crate::steps::{Fault, POLL_MOVING, Sweep};
 use crate::sweep::StageEnd;
-use foxglove::messages::log::Level;
 use std::time::Duration;
 use wcal_core::deadline::{Deadline, move_allowance};
 use wcal_core::device::{DeviceError, DeviceErrorKind, Stage};
@@ -56,7 +56,8 @@ impl Sweep<'_, '_, '_> {
 
     fn note_stop(&mut self, cause: &DeviceError) {
         let host_s = self.last.clocks.host_s;
-        self.bench.recorder.text(host_s, Level::Error, &cause.to_string());
+        // The cause is already an error on its way to the user, and the disk may be it.
+        let _ = self.bench.recorder.text(host_s, Level::Error, &cause.to_string());
         let detail = format!("{}: {cause}", cause.kind.name());
         let event = SweepEvent {
             kind: "stopped".to_owned(),

@@ -2,10 +2,9 @@
 //!
 //! Field numbers are part of the format: never change or reuse one.
 
-use foxglove::Schema;
 use prost::Message as _;
 use prost_types::field_descriptor_proto::{Label, Type};
-use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet};
+use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet, Timestamp};
 use wcal_core::device::{Clocks, FbgReading, InterrogatorHealth, StageReading};
 use wcal_core::ranges::{OutOfRange, Range};
 
@@ -21,13 +20,10 @@ pub mod topic {
     pub const LOG: &str = "/log";
     /// Every frame of every camera, without its pixels.
     pub const FRAME: &str = "/camera-frame";
-    /// Small pictures now and then (`foxglove.CompressedImage`; `foxglove.RawImage`, every frame, in older recordings): followed by the
-    /// camera's name.
+    /// Small pictures now and then (`foxglove.CompressedImage`): followed by the camera's name.
     pub const CAMERA: &str = "/camera/";
     /// Pictures of the settled poses without loss (`foxglove.CompressedImage`, PNG): followed by the camera's name.
     pub const POSE_PICTURE: &str = "/pose-picture/";
-    /// Groove in the base frame (`foxglove.PoseInFrame`).
-    pub const GROOVE: &str = "/groove/pose";
 }
 
 /// Time as a recording has it.
@@ -86,30 +82,112 @@ pub trait McapMessage: prost::Message + Default {
     /// Field name, number, type and whether it repeats.
     const FIELDS: &'static [(&'static str, i32, Type, bool)];
 
-    /// Self-contained schema.
-    fn schema() -> Schema {
-        let field = |(name, number, kind, repeated): &(&str, i32, Type, bool)| FieldDescriptorProto {
-            name: Some((*name).to_owned()),
-            number: Some(*number),
-            r#type: Some(*kind as i32),
-            label: Some(if *repeated { Label::Repeated } else { Label::Optional } as i32),
-            ..Default::default()
-        };
-        let short = Self::NAME.trim_start_matches("wcal.");
-        let message = DescriptorProto {
-            name: Some(short.to_owned()),
-            field: Self::FIELDS.iter().map(field).collect(),
-            ..Default::default()
-        };
-        let file = FileDescriptorProto {
-            name: Some(format!("wcal/{short}.proto")),
-            package: Some("wcal".to_owned()),
-            syntax: Some("proto3".to_owned()),
-            message_type: vec![message],
-            ..Default::default()
-        };
-        Schema::new(Self::NAME, "protobuf", FileDescriptorSet { file: vec![file] }.encode_to_vec())
+    /// Self-contained schema: an encoded `FileDescriptorSet`.
+    fn schema() -> Vec<u8> {
+        let (package, short) = Self::NAME.rsplit_once('.').unwrap_or_default();
+        let fields: Vec<FieldDescriptorProto> = Self::FIELDS.iter().map(field).collect();
+        let mut file = file(package, short, fields);
+        let mut files = Vec::new();
+        if Self::FIELDS.iter().any(|f| f.2 == Type::Message) {
+            let time = file_of_timestamp();
+            file.dependency = vec![time.name().to_owned()];
+            files.push(time);
+        }
+        files.push(file);
+        FileDescriptorSet { file: files }.encode_to_vec()
     }
+}
+
+/// The one message inside messages, as Foxglove states times.
+const TIMESTAMP: &str = ".google.protobuf.Timestamp";
+
+fn field(&(name, number, kind, repeated): &(&str, i32, Type, bool)) -> FieldDescriptorProto {
+    FieldDescriptorProto {
+        name: Some(name.to_owned()),
+        number: Some(number),
+        r#type: Some(kind as i32),
+        type_name: (kind == Type::Message).then(|| TIMESTAMP.to_owned()),
+        label: Some(if repeated { Label::Repeated } else { Label::Optional } as i32),
+        ..Default::default()
+    }
+}
+
+fn file(package: &str, message: &str, field: Vec<FieldDescriptorProto>) -> FileDescriptorProto {
+    FileDescriptorProto {
+        name: Some(format!("{package}/{message}.proto")),
+        package: Some(package.to_owned()),
+        syntax: Some("proto3".to_owned()),
+        message_type: vec![DescriptorProto { name: Some(message.to_owned()), field, ..Default::default() }],
+        ..Default::default()
+    }
+}
+
+fn file_of_timestamp() -> FileDescriptorProto {
+    let fields = [("seconds", 1, Type::Int64, false), ("nanos", 2, Type::Int32, false)];
+    FileDescriptorProto {
+        name: Some("google/protobuf/timestamp.proto".to_owned()),
+        ..file("google.protobuf", "Timestamp", fields.iter().map(field).collect())
+    }
+}
+
+/// A time as Foxglove's messages state it.
+pub(crate) fn stamp(seconds: f64) -> Timestamp {
+    let nanos = nanoseconds(seconds);
+    Timestamp { seconds: (nanos / 1_000_000_000) as i64, nanos: (nanos % 1_000_000_000) as i32 }
+}
+
+/// A picture, with the field numbers of `foxglove.CompressedImage`.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct CompressedImage {
+    /// Start of exposure by the camera's clock, or arrival.
+    #[prost(message, optional, tag = "1")]
+    pub timestamp: Option<Timestamp>,
+    /// Content of a picture file.
+    #[prost(bytes = "vec", tag = "2")]
+    pub data: Vec<u8>,
+    /// `png` or `jpeg`.
+    #[prost(string, tag = "3")]
+    pub format: String,
+    /// Name of the camera.
+    #[prost(string, tag = "4")]
+    pub frame_id: String,
+}
+
+impl McapMessage for CompressedImage {
+    const NAME: &'static str = "foxglove.CompressedImage";
+    const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
+        ("timestamp", 1, Type::Message, false),
+        ("data", 2, Type::Bytes, false),
+        ("format", 3, Type::String, false),
+        ("frame_id", 4, Type::String, false),
+    ];
+}
+
+/// A line of text, with the field numbers of `foxglove.Log`.
+#[derive(Clone, PartialEq, prost::Message)]
+pub struct LogLine {
+    /// Host time.
+    #[prost(message, optional, tag = "1")]
+    pub timestamp: Option<Timestamp>,
+    /// 3 warning, 4 error.
+    #[prost(int32, tag = "2")]
+    pub level: i32,
+    /// Text.
+    #[prost(string, tag = "3")]
+    pub message: String,
+    /// Who says it.
+    #[prost(string, tag = "4")]
+    pub name: String,
+}
+
+impl McapMessage for LogLine {
+    const NAME: &'static str = "foxglove.Log";
+    const FIELDS: &'static [(&'static str, i32, Type, bool)] = &[
+        ("timestamp", 1, Type::Message, false),
+        ("level", 2, Type::Int32, false),
+        ("message", 3, Type::String, false),
+        ("name", 4, Type::String, false),
+    ];
 }
 
 /// A message that is read back: its numbers are judged before anything is made of them.
@@ -489,13 +567,36 @@ mod tests {
 
     #[test]
     fn the_schema_describes_what_is_encoded() {
-        let schema = Scan::schema();
-        let set = FileDescriptorSet::decode(&*schema.data).unwrap();
+        let set = FileDescriptorSet::decode(&*Scan::schema()).unwrap();
         let message = &set.file[0].message_type[0];
-        assert_eq!((schema.name.as_str(), message.name()), ("wcal.Scan", "Scan"));
+        assert_eq!((set.file[0].package(), message.name()), ("wcal", "Scan"));
         assert_eq!(message.field.len(), Scan::FIELDS.len());
         // A field set to a value appears under the number that the schema states.
         let bytes = Scan { error_code: 5, ..Scan::default() }.encode_to_vec();
         assert_eq!(bytes, [7 << 3, 5]);
+    }
+
+    /// Foxglove's own definition (schemas/proto/foxglove/CompressedImage.proto): time stamp 1, data 2, format 3, frame 4.
+    #[test]
+    fn a_picture_is_laid_out_as_foxglove_reads_it() {
+        let set = FileDescriptorSet::decode(&*CompressedImage::schema()).unwrap();
+        let [time, picture] = &set.file[..] else { panic!("{set:?}") };
+        assert_eq!(picture.dependency, ["google/protobuf/timestamp.proto"]);
+        assert_eq!((time.name(), picture.package()), ("google/protobuf/timestamp.proto", "foxglove"));
+        assert_eq!(picture.message_type[0].field[0].type_name(), ".google.protobuf.Timestamp");
+        let image = CompressedImage {
+            timestamp: Some(stamp(2.5)),
+            data: vec![7],
+            format: "png".into(),
+            frame_id: "l".into(),
+        };
+        let bytes = image.encode_to_vec();
+        let expected =
+            [&[10, 7, 8, 2, 16, 128, 202, 181, 238, 1][..], &[18, 1, 7, 26, 3], b"png", &[34, 1], b"l"];
+        let expected = expected.concat();
+        assert_eq!(CompressedImage::decode(&*bytes).unwrap(), image);
+        assert_eq!(&bytes[10..], &expected[10..], "{bytes:?}");
+        // A message without times needs no other file.
+        assert_eq!(FileDescriptorSet::decode(&*Scan::schema()).unwrap().file.len(), 1);
     }
 }

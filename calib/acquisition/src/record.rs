@@ -160,12 +160,8 @@ pub fn record(
     let name = if number == 1 { "recording.mcap".to_owned() } else { format!("recording-{number}.mcap") };
     begun.reserve(tables_bytes(&steps))?;
     let recorder = Recorder::create(&begun.makes(&name), about)?;
-    let live = request.live.map(|address| recorder.serve(address)).transpose()?;
     // Everything is open: from here on there is something to keep.
     begun.keep();
-    if let Some(view) = &live {
-        (request.on_live)(view.address());
-    }
     if plan.board_views > 0 {
         let Some(pair) = &mut cameras else {
             let found = "a rig without cameras";

@@ -271,13 +271,15 @@ fn decode(path: &Path, topic: &str, log_time: u64, bytes: &[u8]) -> Result<Messa
         other => {
             let host_s = log_time as f64 * 1e-9;
             if let Some(name) = other.strip_prefix(topic::POSE_PICTURE) {
-                let picture = CompressedPicture::decode(bytes).map_err(|e| bad(e.into()))?;
+                let picture = CompressedImage::decode(bytes).map_err(|e| bad(e.into()))?;
                 return Ok(Message::PosePicture(name.to_owned(), log_time, picture.data));
             }
             match other.strip_prefix(topic::CAMERA) {
                 Some(name) => {
-                    let at =
-                        PictureTime::decode(bytes).map_err(|e| bad(e.into()))?.timestamp.unwrap_or_default();
+                    let at = CompressedImage::decode(bytes)
+                        .map_err(|e| bad(e.into()))?
+                        .timestamp
+                        .unwrap_or_default();
                     let at_s = at.seconds as f64 + f64::from(at.nanos) * 1e-9;
                     judge_timestamp(at_s).map_err(|e| bad(e.into()))?;
                     Message::Picture(name.to_owned(), host_s, at_s)
@@ -286,20 +288,6 @@ fn decode(path: &Path, topic: &str, log_time: u64, bytes: &[u8]) -> Result<Messa
             }
         }
     })
-}
-
-/// The content of a `foxglove.CompressedImage`.
-#[derive(Clone, PartialEq, prost::Message)]
-struct CompressedPicture {
-    #[prost(bytes = "vec", tag = "2")]
-    data: Vec<u8>,
-}
-
-/// The time stamp of a `foxglove.RawImage` or `foxglove.CompressedImage`; pixels are passed over.
-#[derive(Clone, PartialEq, prost::Message)]
-struct PictureTime {
-    #[prost(message, optional, tag = "1")]
-    timestamp: Option<prost_types::Timestamp>,
 }
 
 /// Steps that a recording has completed; a sweep that is resumed leaves them out.

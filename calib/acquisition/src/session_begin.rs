@@ -7,7 +7,6 @@ use crate::replay::completed_steps;
 use std::collections::BTreeSet;
 use std::fs;
 use std::io::Read;
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use wcal_core::files::write_atomic;
 use wcal_core::lock::{FileLock, LockError};
@@ -28,10 +27,6 @@ pub struct RecordRequest {
     pub resume: bool,
     /// Search the reference where there is none.
     pub home: bool,
-    /// Where a live view listens, if there is to be one.
-    pub live: Option<SocketAddr>,
-    /// Hears where it listens in fact (port 0 is one of the system's choice).
-    pub on_live: fn(SocketAddr),
     /// Asks a person to hold the calibration board, where the plan wants pictures of it and the bench does not do it itself.
     pub ask_board: AskBoard,
     /// Time of creation, RFC 3339.

@@ -5,9 +5,8 @@ use crate::limits::LimitedStage;
 use crate::message::SweepEvent;
 use crate::monitor::{Monitor, StreamCounts, lock};
 use crate::plan::{ARRIVAL_MM, Plan, Pose, Step};
-use crate::recorder::Recorder;
+use crate::recorder::{Level, Recorder};
 use crate::rig::Rig;
-use foxglove::messages::log::Level;
 use std::collections::BTreeSet;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
@@ -198,7 +197,7 @@ impl Sweep<'_, '_, '_> {
         if !settled {
             self.unsettled += 1;
             let text = format!("step {}: the signal did not settle in {} s", self.step, settle.timeout_s);
-            self.bench.recorder.text(self.last.clocks.host_s, Level::Warning, &text);
+            self.bench.recorder.text(self.last.clocks.host_s, Level::Warning, &text).map_err(|e| disk(&e))?;
         }
         if !self.rig.camera.is_empty() {
             let since_host_s = self.last.clocks.host_s;
@@ -401,10 +400,6 @@ impl Sweep<'_, '_, '_> {
 
     pub(crate) fn note(&mut self, reading: StageReading) -> Result<(), DeviceError> {
         self.bench.recorder.stage(&reading).map_err(|e| disk(&e))?;
-        if let Some(path) = self.trajectory.and_then(|id| self.rig.trajectory(id)) {
-            let depth_mm = reading.measured_mm - self.rig.stage.zero_mm;
-            self.bench.recorder.groove(reading.clocks.host_s, &path.groove_mm(depth_mm));
-        }
         self.last = reading;
         Ok(())
     }

@@ -75,8 +75,6 @@ pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> RecordRequest {
         folder: folder.join("session"),
         resume: false,
         home: true,
-        live: None,
-        on_live: |_| {},
         created: "2026-01-02T03:04:05Z".to_owned(),
         command: vec!["test".to_owned()],
     }

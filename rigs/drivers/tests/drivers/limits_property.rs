@@ -124,8 +124,6 @@ fn run(case: &Case, tap: &Tap, folder: &Path, interrupt: &Interrupt) -> Result<R
         folder: folder.to_owned(),
         resume: false,
         home: true,
-        live: None,
-        on_live: |_| {},
         created: "2026-01-02T03:04:05Z".to_owned(),
         command: vec!["test".to_owned()],
     };

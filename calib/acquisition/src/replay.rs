@@ -1,7 +1,9 @@
 //! Reads recordings back, whole or cut off by a crash, without loading the file into memory.
 
 use crate::error::AcquisitionError;
-use crate::message::{FrameInfo, RecordedMessage, Scan, StagePosition, SweepEvent, judge_timestamp, topic};
+use crate::message::{
+    CompressedImage, FrameInfo, RecordedMessage, Scan, StagePosition, SweepEvent, judge_timestamp, topic,
+};
 use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use prost::Message as _;
@@ -276,10 +278,8 @@ fn decode(path: &Path, topic: &str, log_time: u64, bytes: &[u8]) -> Result<Messa
             }
             match other.strip_prefix(topic::CAMERA) {
                 Some(name) => {
-                    let at = CompressedImage::decode(bytes)
-                        .map_err(|e| bad(e.into()))?
-                        .timestamp
-                        .unwrap_or_default();
+                    let at =
+                        PictureTime::decode(bytes).map_err(|e| bad(e.into()))?.timestamp.unwrap_or_default();
                     let at_s = at.seconds as f64 + f64::from(at.nanos) * 1e-9;
                     judge_timestamp(at_s).map_err(|e| bad(e.into()))?;
                     Message::Picture(name.to_owned(), host_s, at_s)
@@ -288,6 +288,13 @@ fn decode(path: &Path, topic: &str, log_time: u64, bytes: &[u8]) -> Result<Messa
             }
         }
     })
+}
+
+/// The time stamp of a `foxglove.CompressedImage`, or of the `foxglove.RawImage` of older recordings; pixels are passed over.
+#[derive(Clone, PartialEq, prost::Message)]
+struct PictureTime {
+    #[prost(message, optional, tag = "1")]
+    timestamp: Option<prost_types::Timestamp>,
 }
 
 /// Steps that a recording has completed; a sweep that is resumed leaves them out.

@@ -84,7 +84,7 @@ impl Twin {
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct DatasetDocument {
     /// Format and version.
-    #[schemars(extend("const" = wcal_sim::shard::FORMAT))]
+    #[schemars(extend("const" = shard::FORMAT))]
     pub format: &'static str,
     /// Always true.
     pub simulated: bool,

@@ -43,7 +43,7 @@ Methods:
   No --model, motion known: physics. The motion comes from the session (stage_mm along each trajectory), --motion, motion columns of the table,
   or the rig's stage ([base] carried_along: the stage carries the base). A row gives the place of the wire's axis at the contact with its
   covariance. In a stream the region narrows as the contact goes on.
-  --model: a network, trained on SIMULATED sweeps. It knows one motion: the base moves along its +z past an object at rest.
+  With --model: a network, trained on SIMULATED sweeps. It knows one motion: the base moves along its +z past an object at rest.
   Neither: each loaded reading gives the arc of the wire that its moments allow (arclength_regions95).
 
 Status of a row:

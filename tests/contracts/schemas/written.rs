@@ -208,15 +208,7 @@ fn swept(place: &Place<'_>) -> Vec<Written> {
 /// Makes every page of the folder again and compares it, byte by byte.
 pub fn pages_come_again(folder: &Path) {
     let place = Place(folder);
-    for name in [
-        "cell-verified",
-        "berger1",
-        "whisker-verified",
-        "held-verified",
-        "judged",
-        "map",
-        "shapes",
-    ] {
+    for name in ["cell-verified", "berger1", "whisker-verified", "held-verified", "judged", "map", "shapes"] {
         let page = folder.join(name).join("report.html");
         let first = std::fs::read(&page).unwrap_or_else(|e| panic!("{name}: {e}"));
         std::fs::remove_file(&page).unwrap();

@@ -11,12 +11,15 @@
 use burn::tensor::Device;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
+use wcal_lab::dataset::thread_s;
 use wcal_lab::model_file::runnable;
 use wcal_lab::network::TrainableNet;
 use wcal_track::network::{FeatureExtractor, KvCache, NetworkConfig, knots};
 
 /// Nodes of the curve that the shipped networks' inputs are made of.
 const NODES: usize = 130;
+/// Rows of the first measurement.
+const ROWS: u32 = 2000;
 
 fn rows(c: &mut Criterion) {
     let two = FeatureExtractor::width(NODES, true);
@@ -38,6 +41,10 @@ fn rows(c: &mut Criterion) {
         };
         // A full context: what a stream costs in the long run.
         (0..config.context).for_each(|_| drop(row()));
+        // By the processor's time: on a busy machine the clock's is not the network's.
+        let begin_s = thread_s();
+        (0..ROWS).for_each(|_| drop(black_box(row())));
+        println!("{name}: {:.0} rows a second of one core", f64::from(ROWS) / (thread_s() - begin_s));
         group.throughput(Throughput::Elements(1));
         group.bench_function(name, |b| b.iter(&mut row));
     }

@@ -22,12 +22,3 @@ impl TwinError {
         Self::Sim(SimError::Value { what: what.to_owned(), expected: expected.into(), found: found.into() })
     }
 }
-
-impl From<TwinError> for SimError {
-    fn from(error: TwinError) -> Self {
-        match error {
-            TwinError::Sim(error) => error,
-            engine => Self::Engine(engine.to_string()),
-        }
-    }
-}

@@ -171,12 +171,6 @@ pub struct TrackerStream<'a> {
 }
 
 impl TrackerStream<'_> {
-    /// How well the last sample was predicted: see [`FeatureExtractor::log_evidence`].
-    #[must_use]
-    pub fn log_evidence(&self) -> Option<f64> {
-        self.features.log_evidence()
-    }
-
     /// The answer at a sample.
     pub fn push(&mut self, sample: &Sample) -> Prediction {
         let dt_s = self.last_s.map_or(SWEEP_STEP_S, |last| sample.t_s - last);

@@ -1,6 +1,6 @@
 //! `wcal-lab simulate` as a user runs it (SIMULATED sweeps).
 
-use crate::support::{program, repository, run as wcal, text};
+use crate::support::{program_of, repository, run as wcal, text};
 
 #[test]
 fn a_dataset_is_made_and_a_second_run_finds_it_there() {
@@ -223,7 +223,7 @@ fn a_missing_mujoco_engine_is_named_and_nothing_else_needs_it() {
     let session = concat!(env!("CARGO_MANIFEST_DIR"), "/../fixtures/whiskerfbg");
     let table = folder.path().join("twin.csv");
     let run = |args: &[&str]| {
-        let mut command = program();
+        let mut command = program_of(args[0]);
         command.args(args).env("WCAL_MUJOCO", "/nonexistent/wcal-mujoco").output().unwrap()
     };
     let sweeps = ["simulate", "--object", "can", "--sweeps", "1", "--out", out.to_str().unwrap()];

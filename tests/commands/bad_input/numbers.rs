@@ -491,7 +491,7 @@ fn weights_that_are_no_numbers_are_refused_by_their_tensor() {
         fs::write(folder.join("model.json"), card.to_string()).unwrap();
         let run = wcal(place.path(), &track);
         let said = String::from_utf8_lossy(&run.stderr);
-        let named = ["model.safetensors", "norm.beta", "finite"].iter().all(|word| said.contains(word));
+        let named = ["model.safetensors", "norm.gamma", "finite"].iter().all(|word| said.contains(word));
         assert_eq!((run.status.code() == Some(1), named), (found, found), "{said}");
     }
 }

@@ -145,14 +145,6 @@ impl<'a> FeatureExtractor<'a> {
         token
     }
 
-    /// Logarithm of the predictive density of the last sample by the filter that predicted it best, 1/(N mm)^2; none where neither predicted
-    /// it: without contact and at a first contact.
-    #[must_use]
-    pub fn log_evidence(&self) -> Option<f64> {
-        let each = [Some(&self.filter), self.frictionless.as_ref()].into_iter().flatten();
-        each.map(BayesFilter::log_evidence).filter(|e| *e != 0.0).max_by(f64::total_cmp)
-    }
-
     /// Inputs that do not belong to a node.
     fn common(&self, dt: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Vec<f64> {
         let mut inputs =

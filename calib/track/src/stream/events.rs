@@ -318,5 +318,5 @@ impl EventDetector {
 }
 
 #[cfg(test)]
-#[path = "events_tests.rs"]
+#[path = "events_test.rs"]
 mod tests;

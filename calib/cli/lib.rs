@@ -80,7 +80,6 @@ enum Command {
 }
 
 /// Runs the command line of the process; its exit code.
-#[must_use]
 pub fn main() -> ExitCode {
     let cli = match Cli::from_arg_matches(&command().get_matches()) {
         Ok(cli) => cli,
@@ -145,7 +144,6 @@ fn command() -> clap::Command {
 }
 
 /// A command line with the help of its commands in whole paragraphs.
-#[must_use]
 pub fn in_paragraphs(all: clap::Command) -> clap::Command {
     let names: Vec<String> = all.get_subcommands().map(|c| c.get_name().to_owned()).collect();
     names.iter().fold(all, |all, name| {

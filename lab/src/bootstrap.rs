@@ -13,7 +13,6 @@ const RESAMPLES: usize = 2000;
 pub type ErrorOf = fn(&SweepSums) -> SquareSum;
 
 /// 95 % interval of the RMSE over one object, mm: its sweeps are resampled; none with fewer than two.
-#[must_use]
 pub fn object_interval95(sweeps: &[SweepSums], of: ErrorOf) -> Option<[f64; 2]> {
     let n = sweeps.len();
     interval95(n, |rng| resampled_rmse(sweeps, of, rng))
@@ -21,7 +20,6 @@ pub fn object_interval95(sweeps: &[SweepSums], of: ErrorOf) -> Option<[f64; 2]> 
 
 /// 95 % interval of the mean over objects of their RMSE, mm: whole objects are resampled (A. C. Davison, D. V. Hinkley, "Bootstrap Methods
 /// and their Application", 3.8); of one object its sweeps.
-#[must_use]
 pub fn mean_interval95(rows: &[ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
     if let [one] = rows {
         return object_interval95(&one.sweeps, of);
@@ -32,7 +30,6 @@ pub fn mean_interval95(rows: &[ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
 }
 
 /// 95 % interval of the largest RMSE of these objects, mm: sweeps are resampled within each.
-#[must_use]
 pub fn worst_interval95(rows: &[&ObjectScores], of: ErrorOf) -> Option<[f64; 2]> {
     let smallest = rows.iter().map(|r| r.sweeps.len()).min()?;
     interval95(smallest, |rng| rows.iter().map(|r| resampled_rmse(&r.sweeps, of, rng)).fold(0.0, f64::max))

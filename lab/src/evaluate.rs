@@ -44,13 +44,11 @@ const CONTACT_NMM: f64 = 0.01;
 
 impl Method<'_> {
     /// Whether the base's speed is known to it.
-    #[must_use]
     pub fn speed_known(&self) -> bool {
         matches!(self, Self::Network(_, true) | Self::Bayes(_, true, _))
     }
 
     /// Estimates at all instants of a series, made from what came before each.
-    #[must_use]
     pub fn run(&self, series: &SweepSeries) -> Vec<Estimate> {
         let size = |m: [f64; 2]| m[0].hypot(m[1]);
         match self {
@@ -145,7 +143,6 @@ pub const SETTLING_MM: f64 = 2.0;
 pub type Calls = Vec<(bool, bool)>;
 
 /// Errors of a series' estimates where there is contact, and whether the contact has been followed for a while.
-#[must_use]
 pub fn compare_with_truth(
     series: &SweepSeries,
     mesh: &Mesh,
@@ -173,7 +170,6 @@ pub fn compare_with_truth(
 }
 
 /// Errors of the network's places with their stated spreads where there is contact, with the object's name.
-#[must_use]
 pub fn held_out_regions(
     tracker: &Tracker,
     all_series: &[SweepSeries],
@@ -184,7 +180,6 @@ pub fn held_out_regions(
 }
 
 /// The same over one series, with other filters (measurement noise).
-#[must_use]
 pub fn regions(
     tracker: &Tracker,
     filters: FilterBank,

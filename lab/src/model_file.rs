@@ -82,7 +82,6 @@ pub struct Card {
 
 impl Card {
     /// Whether a sweep over an object that was trained on was kept back for the evaluation.
-    #[must_use]
     pub fn kept_back(&self, sweep: u64) -> bool {
         sweep >= self.sweeps_trained
     }
@@ -202,7 +201,6 @@ pub fn put_weights(net: &mut TrainableNet, folder: &Path) -> Result<u64, LabErro
 }
 
 /// Grid of the curve that the networks are built on: a node every half millimetre.
-#[must_use]
 pub fn network_grid() -> InverseGrid {
     InverseGrid { step_mm: 1.0, refine: 2, tilts: 8, ..InverseGrid::default() }
 }

@@ -39,13 +39,11 @@ pub struct EstimateError {
 
 impl EstimateError {
     /// Whether the truth lies in the stated 90 % region.
-    #[must_use]
     pub fn in_region90(&self) -> bool {
         self.mahalanobis2.is_some_and(|m| m <= CHI2_90)
     }
 
     /// Of an estimate with covariance (mm^2), where it has one.
-    #[must_use]
     pub fn new(
         surface_mm: f64,
         error_mm: Vector3<f64>,
@@ -100,7 +98,6 @@ pub struct SweepSums {
 
 impl SweepSums {
     /// Of the estimates of a sweep; `true`: tracked for a while.
-    #[must_use]
     pub fn of(pairs: &[(EstimateError, bool)]) -> Self {
         let all = |value: fn(&EstimateError) -> f64| SquareSum::of(pairs.iter().map(|p| value(&p.0)));
         let followed = |value: fn(&EstimateError) -> f64| {
@@ -139,7 +136,6 @@ pub struct Scores {
 }
 
 /// Scores of estimates; all 0 without any.
-#[must_use]
 pub fn scores(all: &[EstimateError]) -> Scores {
     if all.is_empty() {
         return Scores::default();
@@ -169,7 +165,6 @@ pub fn scores(all: &[EstimateError]) -> Scores {
 
 /// Factor on stated standard deviations with which the 90 % region holds 90 % of these estimates (split conformal: V. Vovk et al.,
 /// "Algorithmic Learning in a Random World"); 1 without estimates.
-#[must_use]
 pub fn calibrating_factor(all: &[EstimateError]) -> f64 {
     let mut stated: Vec<f64> = all.iter().filter_map(|c| c.mahalanobis2).collect();
     if stated.is_empty() {
@@ -193,7 +188,6 @@ pub struct Detection {
 }
 
 /// Factors on stated standard deviations from estimates with their own covariances, in groups of equal number by the spread (`wcal_track::sd_factors`).
-#[must_use]
 pub fn calibrated(all: &[EstimateError]) -> SdFactors {
     let mut stated: Vec<(f64, EstimateError)> =
         all.iter().filter_map(|c| Some((c.stated_spread_mm?, *c))).collect();
@@ -212,7 +206,6 @@ pub fn calibrated(all: &[EstimateError]) -> SdFactors {
 }
 
 /// Detection from pairs of called and true.
-#[must_use]
 pub fn detection(pairs: &[(bool, bool)]) -> Detection {
     let count = |a: bool, b: bool| pairs.iter().filter(|p| **p == (a, b)).count() as f64;
     let (hits, false_calls, missed) = (count(true, true), count(true, false), count(false, true));

@@ -101,14 +101,12 @@ impl SweepSeries {
     }
 
     /// Distance of a point (base frame, mm) to the object's surface after a travel of the base, mm.
-    #[must_use]
     pub fn surface_distance_mm(&self, mesh: &Mesh, travel_mm: f64, point_mm: &Vector3<f64>) -> f64 {
         mesh.closest_point(&self.to_object_frame(travel_mm, point_mm), MAX_DISTANCE_MM)
             .map_or(MAX_DISTANCE_MM, |n| n.distance_mm.abs())
     }
 
     /// The surface's point nearest to a point (base frame, mm) after a travel of the base, mm; the point itself beyond that distance.
-    #[must_use]
     pub fn closest_surface_point(
         &self,
         mesh: &Mesh,

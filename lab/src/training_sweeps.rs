@@ -28,7 +28,6 @@ pub struct SweepKind {
 }
 
 /// Sweeps turned at random, with friction, weight and the drag of air.
-#[must_use]
 pub fn friction_plan() -> SweepPlan {
     let physics =
         PhysicsPlan { friction: FRICTION, medium: Medium::Air, weight: true, ..PhysicsPlan::default() };
@@ -40,7 +39,6 @@ fn clean_plan() -> SweepPlan {
 }
 
 /// The three kinds, `clean` first, with so many sweeps over an object in each of the first two.
-#[must_use]
 pub fn sweep_kinds(sweeps: u64, seed: u64) -> [SweepKind; 3] {
     let upright = SweepPlan { turn: Turn::Faces, ..clean_plan() };
     let kind = |name, plan, sweeps, number: u64| {

@@ -20,7 +20,6 @@ pub struct Assigned {
 
 impl Assigned {
     /// Both sensing gratings, where neither is lost nor crossing.
-    #[must_use]
     pub fn usable(&self) -> Option<[f64; 2]> {
         match (self.sensing_nm, self.crossing) {
             ([Some(a), Some(b)], false) => Some([a, b]),
@@ -38,13 +37,11 @@ pub struct ChannelMap {
 
 impl ChannelMap {
     /// The map of a rig.
-    #[must_use]
     pub fn new(rig: &Rig) -> Self {
         Self::of(&rig.interrogator, rig.interrogator.whiskers().first().copied().unwrap_or_default())
     }
 
     /// The map of a whisker's gratings.
-    #[must_use]
     pub fn of(interrogator: &InterrogatorRig, whisker: &str) -> Self {
         let find = |name: &str| {
             let g = interrogator.grating_of(whisker, name)?;
@@ -54,7 +51,6 @@ impl ChannelMap {
     }
 
     /// Assigns the peaks of a scan: nearest to the nominal wavelength, inside the window.
-    #[must_use]
     pub fn assign(&self, reading: &FbgReading) -> Assigned {
         let mut found = [None; 3];
         let mut crossing = false;

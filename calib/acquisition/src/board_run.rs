@@ -21,7 +21,6 @@ const CLOCK_PAIRS: u32 = 4;
 pub type AskBoard = fn(u32) -> Result<(), DeviceError>;
 
 /// Attitudes in earlier recordings of a session; a recording that cannot be read has none.
-#[must_use]
 pub fn shown_before(recordings: &[PathBuf]) -> BTreeSet<u32> {
     let mut shown = BTreeSet::new();
     for path in recordings {

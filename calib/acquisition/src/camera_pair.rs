@@ -28,13 +28,11 @@ const AHEAD: usize = 32;
 
 impl CameraPair {
     /// Two cameras and the largest skew, ms.
-    #[must_use]
     pub fn new(cameras: [Box<dyn Camera + Send>; 2], limit_ms: f64) -> Self {
         Self { cameras, limit_ms, refused: 0, last: None, host_s: 0.0, offset: Some(0) }
     }
 
     /// Two cameras whose frames carry numbers of their own: the first pair closer in time than the limit sets the count.
-    #[must_use]
     pub fn by_time(cameras: [Box<dyn Camera + Send>; 2], limit_ms: f64) -> Self {
         Self { offset: None, ..Self::new(cameras, limit_ms) }
     }
@@ -57,13 +55,11 @@ impl CameraPair {
     }
 
     /// Host time of the newest frame, s.
-    #[must_use]
     pub fn host_s(&self) -> f64 {
         self.host_s
     }
 
     /// Pairs refused so far.
-    #[must_use]
     pub fn refused(&self) -> u64 {
         self.refused
     }

@@ -62,7 +62,6 @@ impl fmt::Display for ClockFault {
 
 impl ClockFault {
     /// As an error of the interrogator.
-    #[must_use]
     pub fn error(&self) -> DeviceError {
         let (kind, expected) = (DeviceErrorKind::Clock, "a device clock that runs on");
         DeviceError::new(kind, "interrogator", "read the stream", expected, self.to_string())
@@ -111,7 +110,6 @@ pub struct ClockWatch {
 
 impl ClockWatch {
     /// Host times run `clock_scale` times as fast as real time.
-    #[must_use]
     pub fn new(clock_scale: f64) -> Self {
         Self {
             clock_scale,
@@ -149,13 +147,11 @@ impl ClockWatch {
     }
 
     /// Whether the last readings may turn out to have come after a step, or from a clock that stands still.
-    #[must_use]
     pub fn is_unsure(&self) -> bool {
         self.doubt.is_some() || self.standing
     }
 
     /// Whether a reading that was in doubt may count for the alignment of clocks: it does not seem to have come before it was made.
-    #[must_use]
     pub fn is_plausible(&self, host_s: f64, device_s: f64) -> bool {
         device_s - host_s <= self.earliest_s + STEP_S
     }

@@ -54,19 +54,16 @@ pub(crate) const BROKEN_CLOCK: f64 = 300e-6;
 
 impl ClockFit {
     /// Whether the device clock drifts more than any working clock does, its own error counted against that.
-    #[must_use]
     pub fn broken(&self) -> bool {
         self.drift.abs() > BROKEN_CLOCK + 4.0 * self.drift_sd
     }
 
     /// Device time at a host time, s.
-    #[must_use]
     pub fn device_s(&self, host_s: f64) -> f64 {
         host_s + self.offset_s + self.drift * (host_s - self.origin_host_s)
     }
 
     /// Host time at a device time, s.
-    #[must_use]
     pub fn host_s(&self, device_s: f64) -> f64 {
         self.origin_host_s + (device_s - self.offset_s - self.origin_host_s) / (1.0 + self.drift)
     }
@@ -80,7 +77,6 @@ impl Default for ClockPair {
 
 impl ClockPair {
     /// No pair yet; host times run `clock_scale` times as fast as real time.
-    #[must_use]
     pub fn new(clock_scale: f64) -> Self {
         let earliest = (0.0, f64::NEG_INFINITY);
         Self {
@@ -119,7 +115,6 @@ impl ClockPair {
 
     /// Device time at a host time, s: the later of the line's and the recent pairs' times; `None` without any pair. Late rather than
     /// early: delays, however long they last, only make a clock seem to lag.
-    #[must_use]
     pub fn device_s(&self, host_s: f64) -> Option<f64> {
         let (host0, device0) = self.origin?;
         let recent = self.best.iter().rev().take(RECENT).map(|p| p.1);
@@ -128,7 +123,6 @@ impl ClockPair {
     }
 
     /// How much later a reading arrived than the least delayed one, s, less what a working clock may have drifted between the two.
-    #[must_use]
     pub fn delay_s(&self, host_s: f64, device_s: f64) -> f64 {
         let Some((host0, device0)) = self.origin else { return 0.0 };
         self.delay_of((host_s - host0, device_s - device0 - (host_s - host0)))
@@ -139,14 +133,12 @@ impl ClockPair {
     }
 
     /// Whether a reading came so late that the bench or this computer had fallen behind.
-    #[must_use]
     pub fn is_late(&self, host_s: f64, device_s: f64) -> bool {
         self.delay_s(host_s, device_s) > self.late_s
     }
 
     /// Whether host times cannot be converted to device times: the line drifts more than a working clock does, by a harmful amount. A stream
     /// that falls behind steadily has the same effect: it cannot be distinguished from a slow clock.
-    #[must_use]
     pub fn is_unaligned(&self) -> bool {
         let Some(fit) = self.fit() else { return false };
         let last_s = self.current.map_or(0.0, |(_, x, _)| x);
@@ -154,7 +146,6 @@ impl ClockPair {
     }
 
     /// The fit; `None` without any pair.
-    #[must_use]
     pub fn fit(&self) -> Option<ClockFit> {
         let (host0, device0) = self.origin?;
         let mut points = self.best.clone();

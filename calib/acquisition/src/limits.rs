@@ -18,14 +18,12 @@ pub struct Limits {
 
 impl Limits {
     /// The limits of a rig's stage on a unit with this travel, mm.
-    #[must_use]
     pub fn new(rig: &StageRig, travel_mm: [f64; 2]) -> Self {
         let [low, high] = rig.soft_limits_mm;
         Self { low_mm: low.max(travel_mm[0]), high_mm: high.min(travel_mm[1]), zero_mm: rig.zero_mm }
     }
 
     /// The same as depths, mm from the stage's zero.
-    #[must_use]
     pub fn depths_mm(&self) -> [f64; 2] {
         [self.low_mm - self.zero_mm, self.high_mm - self.zero_mm]
     }
@@ -58,7 +56,6 @@ pub struct LimitedStage {
 
 impl LimitedStage {
     /// A stage behind its limits.
-    #[must_use]
     pub fn new(stage: Box<dyn Stage>, limits: Limits) -> Self {
         Self { stage: Some(stage), limits }
     }

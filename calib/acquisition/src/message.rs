@@ -279,7 +279,6 @@ impl From<&FbgReading> for Scan {
 
 impl Scan {
     /// As a reading.
-    #[must_use]
     pub fn reading(&self) -> FbgReading {
         let mut rest = &self.peaks_nm[..];
         let peaks_nm = self.peaks_per_channel.iter().map(|n| {

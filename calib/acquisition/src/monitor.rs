@@ -72,7 +72,6 @@ struct Block {
 impl Monitor {
     /// `temperature_ratio`: shift of each sensing grating per shift of the reference, at constant load. `clock_scale`: host seconds per
     /// wall second.
-    #[must_use]
     pub fn new(map: ChannelMap, temperature_ratio: [f64; 2], clock_scale: f64) -> Self {
         Self {
             map,
@@ -153,7 +152,6 @@ impl Monitor {
     }
 
     /// The step that is to be pictured, and the host time after which, s.
-    #[must_use]
     pub fn wanted_picture(&self) -> Option<(u32, f64)> {
         self.picture
     }
@@ -174,31 +172,26 @@ impl Monitor {
     }
 
     /// The first fault.
-    #[must_use]
     pub fn fault(&self) -> Option<&DeviceError> {
         self.fault.as_ref()
     }
 
     /// Device time of the newest scan, s.
-    #[must_use]
     pub fn device_s(&self) -> Option<f64> {
         self.latest_s
     }
 
     /// Newest wavelengths.
-    #[must_use]
     pub fn latest(&self) -> Assigned {
         self.latest
     }
 
     /// Counters.
-    #[must_use]
     pub fn counts(&self) -> StreamCounts {
         self.counts
     }
 
     /// Device time at a host time, s; the stream itself may not have got there yet.
-    #[must_use]
     pub fn device_s_at(&self, host_s: f64) -> Option<f64> {
         self.clocks.device_s(host_s)
     }
@@ -223,14 +216,12 @@ impl Monitor {
     }
 
     /// Usable scans between two device times of the last half minute, to within a block.
-    #[must_use]
     pub fn scans_between(&self, begin_s: f64, end_s: f64) -> f64 {
         self.blocks.iter().filter(|b| (begin_s..end_s).contains(&b.start_s)).map(|b| b.count).sum()
     }
 
     /// Largest drift of the sensing gratings over the last `window_s`, temperature compensated, pm/s, with its standard
     /// error; `None` until the window is full since `since_s`.
-    #[must_use]
     pub fn drift_pm_per_s(&self, since_s: f64, window_s: f64) -> Option<(f64, f64)> {
         let now_s = self.latest_s?;
         let from_s = now_s - window_s;

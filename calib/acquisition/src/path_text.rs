@@ -4,7 +4,6 @@ use crate::plan::{Plan, Step};
 use crate::rig::Rig;
 
 /// Rough time that the steps take, s.
-#[must_use]
 pub fn duration_s(steps: &[Step], rig: &Rig, plan: &Plan) -> f64 {
     let mut at_mm = rig.stage.retract_mm;
     steps
@@ -32,7 +31,6 @@ pub fn duration_s(steps: &[Step], rig: &Rig, plan: &Plan) -> f64 {
 }
 
 /// The path as text: one line a trajectory block, a mark for every settled depth.
-#[must_use]
 pub fn draw(steps: &[Step], rig: &Rig) -> String {
     const WIDTH: usize = 60;
     let deepest = steps

@@ -177,7 +177,6 @@ pub enum Step {
 
 impl Step {
     /// Depths that the stage is sent to, mm, in order, from where it stands. A sweep commands these, and its plan is checked by them.
-    #[must_use]
     pub fn waypoints(&self, at_mm: f64, stage: &StageRig) -> Vec<f64> {
         match self {
             Self::Soak => Vec::new(),

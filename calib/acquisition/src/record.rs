@@ -46,7 +46,6 @@ pub struct RecordResult {
 
 impl RecordResult {
     /// What was lost or is not as it should be; each is a reason for exit code 3.
-    #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         match &self.reduction {
             // The tables contain every run of the session, the sweep its own only.
@@ -60,7 +59,6 @@ impl RecordResult {
     }
 
     /// 0 good, 1 stopped or without tables, 3 finished with warnings.
-    #[must_use]
     pub fn exit_code(&self) -> u8 {
         match self.sweep.ending {
             Ending::Finished if self.reduction.is_ok() => {

@@ -30,7 +30,6 @@ const CLOCK_SET_S: f64 = 1.0;
 const MAX_WINDOWS_PER_SCAN: u64 = 16;
 
 /// Recordings of a session in order: `recording.mcap`, `recording-2.mcap`, ...
-#[must_use]
 pub fn recordings(folder: &Path) -> Vec<PathBuf> {
     let first = std::iter::once(folder.join("recording.mcap"));
     let later = (2..1000).map(|k| folder.join(format!("recording-{k}.mcap")));

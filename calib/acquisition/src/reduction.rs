@@ -51,7 +51,6 @@ pub struct Reduction {
 
 impl Reduction {
     /// Losses and faults; each is a reason for exit code 3.
-    #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         let mut all = self.stream_warnings();
         if self.cut_off > 0 {
@@ -61,7 +60,6 @@ impl Reduction {
     }
 
     /// The warnings less recordings that were cut off: a sweep that was resumed has measured again what they lack.
-    #[must_use]
     pub fn stream_warnings(&self) -> Vec<String> {
         let Self { lost, gaps, late, longest_delay_s, marked, empty_windows, damaged_chunks, .. } = self;
         let refused = self.pairs[1];
@@ -111,7 +109,6 @@ impl Reduction {
     }
 
     /// Clocks that no crystal explains.
-    #[must_use]
     pub fn clock_warnings(&self) -> Vec<String> {
         let cameras = self.camera_clocks.iter().map(|(name, fit)| (format!("camera {name}"), fit));
         let all = self.clocks.iter().map(|fit| ("interrogator".to_owned(), fit)).chain(cameras);

@@ -44,7 +44,6 @@ pub struct End {
 
 impl End {
     /// Closed properly, and all of it read.
-    #[must_use]
     pub fn is_whole(&self) -> bool {
         *self == Self::default()
     }

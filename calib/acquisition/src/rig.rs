@@ -81,7 +81,6 @@ pub struct TrajectoryRig {
 
 impl TrajectoryRig {
     /// Groove centre (mm, base frame) at a depth of `stage_mm`.
-    #[must_use]
     pub fn groove_mm(&self, stage_mm: f64) -> Vector3<f64> {
         Vector3::from(self.origin_mm) + Vector3::from(self.direction).normalize() * stage_mm
     }
@@ -160,13 +159,11 @@ impl Rig {
     }
 
     /// A grating of the first whisker by name.
-    #[must_use]
     pub fn grating(&self, name: &str) -> Option<&GratingRig> {
         self.interrogator.grating_of(self.interrogator.whiskers().first()?, name)
     }
 
     /// A trajectory by identifier.
-    #[must_use]
     pub fn trajectory(&self, id: u32) -> Option<&TrajectoryRig> {
         self.trajectory.iter().find(|t| t.id == id)
     }

@@ -69,7 +69,6 @@ pub struct RunOutcome {
 impl RunFile {
     /// Whether the devices were simulated. Files from before this key are recognised by the names that the virtual bench's devices give
     /// themselves, and by its clock.
-    #[must_use]
     pub fn is_simulated(&self) -> bool {
         self.simulated || self.clock_scale != 1.0 || self.devices.values().any(DeviceIdentity::is_virtual)
     }

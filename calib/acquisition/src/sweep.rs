@@ -44,7 +44,6 @@ pub enum StageEnd {
 
 impl StageEnd {
     /// Whether it was confirmed to stand.
-    #[must_use]
     pub fn stands(self) -> bool {
         self != Self::Unknown
     }
@@ -65,7 +64,6 @@ pub struct SweepReport {
 
 impl SweepReport {
     /// Losses and faults in spite of which the sweep continued; each is a reason for exit code 3.
-    #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         let StreamCounts { lost, gaps, pairs_refused, .. } = self.counts;
         let all = [
@@ -77,7 +75,6 @@ impl SweepReport {
     }
 
     /// The warnings that do not follow from the recording alone.
-    #[must_use]
     pub fn signal_warnings(&self) -> Vec<String> {
         let (unsettled, unusable) = (self.unsettled, self.counts.unusable);
         let all = [

@@ -54,7 +54,6 @@ pub enum Stream {
 
 impl Stream {
     /// As in the column `stream`.
-    #[must_use]
     pub fn word(self) -> &'static str {
         match self {
             Self::Whole => "ok",
@@ -209,7 +208,6 @@ fn compensation_fields(rig: &Rig, file: &str, point: usize, row: &Row) -> Vec<St
 }
 
 /// Shift of each sensing grating per shift of the reference, from the rig's temperature coefficients; 0 without them.
-#[must_use]
 pub fn temperature_ratio(rig: &Rig) -> [f64; 2] {
     let number = |v: &Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
     let reference = rig.fbg.get("reference_temperature_pm_per_degc").and_then(number);

@@ -47,7 +47,6 @@ pub struct WindowMean {
 
 impl Samples {
     /// The mean; `None` without two samples.
-    #[must_use]
     pub fn mean(&self) -> Option<WindowMean> {
         let mut marked = vec![false; self.serials.len()];
         for values in &self.sensing_nm {

@@ -110,7 +110,6 @@ impl<'a> SessionSystem<'a> {
     }
 
     /// Kind of the session.
-    #[must_use]
     pub fn kind(&self) -> &str {
         match self {
             Self::Whisker(system) => system.kind(),
@@ -119,7 +118,6 @@ impl<'a> SessionSystem<'a> {
     }
 
     /// Quantities that readings are judged by.
-    #[must_use]
     pub fn quantities(&self) -> &[Quantity] {
         match self {
             Self::Whisker(_) => &judgement::QUANTITIES,
@@ -176,7 +174,6 @@ impl SensedRow {
     }
 
     /// Standard deviations of the moments, N mm: noise and what all rows share.
-    #[must_use]
     pub fn sd_nmm(&self) -> [f64; 2] {
         let shared = |c: usize| self.sensed.shared_nmm.iter().map(|h| h[c] * h[c]).sum::<f64>();
         [0, 1].map(|c| (self.sensed.noise_nmm2[(c, c)] + shared(c)).sqrt())

@@ -33,7 +33,6 @@ pub enum CalibrationModel {
 }
 
 /// Program, command, time, seed, files, and whether the session is simulated.
-#[must_use]
 pub fn provenance(session: &LoadedSession, seed: u64) -> Provenance {
     Provenance {
         program: format!("wcal {}", env!("CARGO_PKG_VERSION")),

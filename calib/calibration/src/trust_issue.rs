@@ -39,7 +39,6 @@ pub enum TrustIssue {
 
 impl TrustIssue {
     /// Short code for the rows of a table.
-    #[must_use]
     pub fn code(&self) -> &'static str {
         match self {
             Self::Changed { .. } => "changed",

@@ -28,7 +28,6 @@ fn lengths(nodes: &[Node]) -> Vec<f64> {
 }
 
 /// The answer to moments (N mm) of which nothing else is known; probabilities and number of contacts are those of `answer`.
-#[must_use]
 pub fn static_arc(
     inverse: &StaticInverse,
     moment_nmm: [f64; 2],
@@ -96,7 +95,6 @@ const AS_TRAINED: f32 = 0.5;
 /// What is stated of a network's answer (point p, covariance C_n, weights u_k) where the motion is not known: with probability a it is as in
 /// training, else nothing but the moments counts (mean q, C_a, v_k; [`static_arc`]). The point stays p; `w_k = a u_k + (1 - a) v_k`, and
 /// `C = a C_n + (1 - a) (C_a + (q - p)(q - p)')`, the mixture's second moment about p.
-#[must_use]
 pub fn any_motion(
     inverse: &StaticInverse,
     moment_nmm: [f64; 2],
@@ -117,7 +115,6 @@ pub fn any_motion(
 }
 
 /// 95 % region of highest density over the arc length of a posterior on the inverse's nodes: one piece for each peak. Empty without weights.
-#[must_use]
 pub fn arclength_regions(nodes: &[Node], weights: &[f32]) -> Vec<Region> {
     if weights.len() != nodes.len() || nodes.len() < 2 {
         return Vec::new();

@@ -17,7 +17,6 @@ pub struct ContactHistory {
 
 impl ContactHistory {
     /// For a whisker.
-    #[must_use]
     pub fn new(whisker: &str) -> Self {
         Self { segments: SegmentFinder::new(whisker), ..Self::default() }
     }
@@ -54,7 +53,6 @@ impl ContactHistory {
     }
 
     /// Probable contacts where the motion of the base is known, in the frame in which it moves, mm.
-    #[must_use]
     pub fn contacts_mm(&self) -> &[Vector3<f64>] {
         &self.contacts_mm
     }
@@ -65,7 +63,6 @@ impl ContactHistory {
     }
 
     /// Contact intervals for track.json.
-    #[must_use]
     pub fn segments(&self) -> Vec<Segment> {
         self.segments.all()
     }

@@ -36,14 +36,12 @@ impl From<&Prediction> for ContactEstimate {
 
 impl ContactEstimate {
     /// At a place of the wire's axis; none where nothing was found.
-    #[must_use]
     pub fn of_place(place: &EpisodeContact) -> Option<Self> {
         let (probability, covariance_mm2) = (place.contact, place.covariance_mm2);
         Some(Self { probability, place_mm: place.place_mm?, covariance_mm2, normal: Vector3::zeros() })
     }
 
     /// In a turned frame.
-    #[must_use]
     pub fn turned(&self, turn: &Rotation3<f64>) -> Self {
         let covariance_mm2 = turn * self.covariance_mm2 * turn.inverse();
         let (place_mm, normal) = (turn * self.place_mm, turn * self.normal);
@@ -124,7 +122,6 @@ impl Message {
     }
 
     /// As a line; `whose` begins the sentence where there are several whiskers.
-    #[must_use]
     pub fn line(&self, whose: &str) -> String {
         format!("{}{whose}{}", if self.warning { "warning: " } else { "" }, self.text)
     }

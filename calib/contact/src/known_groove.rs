@@ -31,7 +31,6 @@ pub struct KnownPlace {
 }
 
 /// Velocity of the base past the groove between the readings of a table, base frame, mm/s, by line.
-#[must_use]
 pub fn velocities(places: &[KnownPlace], max_step_s: f64) -> BTreeMap<usize, Vector3<f64>> {
     let mut all = BTreeMap::new();
     for (k, place) in places.iter().enumerate() {
@@ -89,7 +88,6 @@ impl GrooveError {
 
 impl KnownGroove {
     /// For a whisker; none without known places.
-    #[must_use]
     pub fn new(places: Vec<KnownPlace>, whisker: &WhiskerSpec) -> Option<Self> {
         let radius_mm = whisker.diameter_mm / 2.0;
         let own = Self {
@@ -132,7 +130,6 @@ impl KnownGroove {
     }
 
     /// For track.json; none where nothing was compared.
-    #[must_use]
     pub fn score(&self) -> Option<GrooveScore> {
         if self.compared.is_empty() {
             return None;
@@ -157,7 +154,6 @@ impl KnownGroove {
 
     /// RMS error at the last compared reading of each contact (first and last time, s), mm: a contact's readings before it knew less. None
     /// where none was compared.
-    #[must_use]
     pub fn end_rmse_mm(&self, contacts_s: &[[f64; 2]]) -> Option<f64> {
         let within = |[from, to]: &[f64; 2]| self.times_s.iter().rposition(|t| (*from..=*to).contains(t));
         let last: Vec<f64> =
@@ -166,14 +162,12 @@ impl KnownGroove {
     }
 
     /// Whether fewer places lie in the stated 90 % regions than chance explains.
-    #[must_use]
     pub fn coverage_rejected(&self) -> bool {
         let within = self.compared.iter().filter(|c| c.in_region90 == Some(true)).count();
         !self.compared.is_empty() && binomial_cdf(within, self.compared.len(), STATED) < LEVEL
     }
 
     /// The same for people.
-    #[must_use]
     pub fn message(&self) -> Option<String> {
         let s = self.score()?;
         Some(format!(
@@ -190,7 +184,6 @@ impl KnownGroove {
 }
 
 /// Chance of `hits` or fewer of `n` with probability `p` each (binomial).
-#[must_use]
 pub fn binomial_cdf(hits: usize, n: usize, p: f64) -> f64 {
     let (mut ln_term, mut sum) = (n as f64 * (1.0 - p).ln(), 0.0);
     for k in 0..=hits {

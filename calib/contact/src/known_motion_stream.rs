@@ -60,7 +60,6 @@ pub struct KnownMotionStream {
 
 impl KnownMotionStream {
     /// Of a whisker whose wire has the moments of `field`.
-    #[must_use]
     pub fn new(field: Arc<MomentField>, whisker: &WhiskerSpec, accuracy: MotionAccuracy) -> Self {
         Self {
             field,

@@ -61,7 +61,6 @@ pub struct KnownMotionTable {
 
 impl KnownMotionTable {
     /// Of a whisker whose wire has the moments of `field`.
-    #[must_use]
     pub fn new(
         field: MomentField,
         whisker: &WhiskerSpec,

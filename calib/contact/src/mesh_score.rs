@@ -51,7 +51,6 @@ pub struct MeshScore {
 
 impl MeshScore {
     /// Of signed distances, mm; none for fewer than six.
-    #[must_use]
     pub fn new(distances_mm: Vec<f64>) -> Option<Self> {
         let points = distances_mm.len();
         (points >= MIN_POINTS).then(|| Self { points, distances: Distances::new(distances_mm) })
@@ -78,7 +77,6 @@ impl KnownObject {
     }
 
     /// Distance of a contact in the world from the surface, positive outside, mm.
-    #[must_use]
     pub fn distance_mm(&self, world_mm: &Vector3<f64>) -> f64 {
         let point = self.world_from_object.inverse_transform_point(&(*world_mm).into()).coords;
         let near = self.mesh.closest_point(&point, MAX_DISTANCE_MM);

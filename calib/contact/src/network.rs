@@ -46,7 +46,6 @@ const TOUCHED: f32 = 0.9;
 
 impl<'a> NetworkEstimator<'a> {
     /// Of a model with filters that know the noise of its moments; `vouched`: a motion that is not known is as in training.
-    #[must_use]
     pub fn new((tracker, card): (&'a Tracker, &'a Card), filters: FilterBank, vouched: bool) -> Self {
         Self {
             tracker,

@@ -37,7 +37,6 @@ pub struct Moments {
 
 impl Moments {
     /// As a row of a track states them.
-    #[must_use]
     pub fn stated(&self) -> StreamMoments {
         StreamMoments { moment_nmm: self.moment_nmm, sd_nmm: self.sd_nmm, valid: self.valid }
     }
@@ -87,7 +86,6 @@ pub struct Reading {
 
 impl Reading {
     /// A reading of whose motion nothing is known.
-    #[must_use]
     pub fn alone(point: i64, t_s: f64, moments: Option<Moments>) -> Self {
         Self {
             point,

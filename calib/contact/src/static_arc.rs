@@ -28,7 +28,6 @@ pub struct StaticArc {
 
 impl StaticArc {
     /// Of a wire.
-    #[must_use]
     pub fn new(whisker: &WhiskerSpec) -> Self {
         Self { whisker: whisker.clone(), inverse: None, lost: BTreeMap::new(), readings: 0 }
     }
@@ -57,7 +56,6 @@ impl StaticArc {
     }
 
     /// Loaded readings, by why their motion is not known.
-    #[must_use]
     pub fn lost(&self) -> &BTreeMap<&'static str, u64> {
         &self.lost
     }

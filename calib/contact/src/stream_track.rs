@@ -270,7 +270,6 @@ impl<'a> StreamTracks<'a> {
     }
 
     /// What was found: for track.json, for people, and for the exit code. `dropped`: scans that the tracker dropped.
-    #[must_use]
     pub fn findings(&self, cut_off: Option<Vec<String>>, dropped: u64) -> StreamFindings {
         let filter = self.all.first().map(|w| w.chain.filter());
         let seconds = |d: Duration| d.as_secs_f64();
@@ -451,7 +450,6 @@ fn field(
 }
 
 /// What was lost, for people; none when nothing was.
-#[must_use]
 pub fn lost_text([lost, unusable, cut_off]: [u64; 3], dropped: u64) -> Option<String> {
     let all = [
         (lost, "scans lost"),

@@ -75,7 +75,6 @@ fn number(value: &Value) -> Option<f64> {
 }
 
 /// A place and a unit quaternion as a pose; none where they are none.
-#[must_use]
 pub fn pose_of(numbers: &[f64]) -> Option<Isometry3<f64>> {
     let [x, y, z, w, i, j, k] = *numbers else { return None };
     let turn = Quaternion::new(w, i, j, k);

@@ -84,7 +84,6 @@ pub struct SweepVerdict {
 
 impl SweepVerdict {
     /// Whether the sweep refutes the calibration.
-    #[must_use]
     pub fn refuted(&self) -> bool {
         self.p_value < REFUTED_LEVEL
     }

@@ -73,19 +73,16 @@ impl TableSource {
     }
 
     /// First and last time, s; none without readings.
-    #[must_use]
     pub fn span_s(&self) -> Option<[f64; 2]> {
         Some([self.rows.first()?.t_s?, self.rows.last()?.t_s?])
     }
 
     /// Readings of whose motion nothing is known.
-    #[must_use]
     pub fn alone(&self) -> Vec<Reading> {
         self.rows.iter().map(|row| self.reading(row)).collect()
     }
 
     /// Readings along a log; `middle_mm` is the middle of the free wire, whose velocity counts.
-    #[must_use]
     pub fn along(&self, logged: &LoggedMotion, middle_mm: &Vector3<f64>) -> Vec<Reading> {
         let one = |row: &SensedRow| {
             let motion = logged.log.at(row.t_s.unwrap_or_default(), middle_mm);
@@ -185,7 +182,6 @@ fn row_motion(m: Motion) -> RowMotion {
 }
 
 /// Pose of the base where the object's frame is the world's.
-#[must_use]
 pub fn base_pose(motion: &Motion) -> BasePose {
     let back: Rotation3<f64> = motion.turn.inverse();
     let place = Translation3::from(back * -motion.moved_mm);

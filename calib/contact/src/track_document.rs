@@ -202,14 +202,12 @@ impl ContactDocument {
     }
 
     /// Of a session's trajectory.
-    #[must_use]
     pub fn of_trajectory(id: u32, found: &EpisodeEstimate, readings: usize) -> Self {
         let regions = found.posterior.as_ref().map(Posterior::regions);
         Self { trajectory: Some(id), regions, ..Self::new(&found.innovations, readings) }
     }
 
     /// Of a table's contact; as one that slides, where the motion supports it.
-    #[must_use]
     pub fn of_table(
         found: &EpisodeEstimate,
         [from_s, to_s]: [f64; 2],
@@ -235,7 +233,6 @@ impl ContactDocument {
     }
 
     /// Of a stream's contact.
-    #[must_use]
     pub fn of_stream(e: &FinishedEpisode) -> Self {
         Self {
             regions: Some(e.regions.clone()),

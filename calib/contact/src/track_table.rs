@@ -75,7 +75,6 @@ impl TrackRow {
     }
 
     /// The row as a line of `track.csv`; cells without a value are empty.
-    #[must_use]
     pub fn line(&self) -> String {
         // Microseconds: an absolute clock leaves no more digits.
         let mut out = format!("{},{}", self.point, (self.t_s * 1e6).round() / 1e6);
@@ -191,7 +190,6 @@ impl TrackFiles {
 }
 
 /// `track.csv` -> `track` + ending.
-#[must_use]
 pub fn companion(out: &Path, ending: &str) -> PathBuf {
     let stem = out.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     out.with_file_name(format!("{stem}{ending}"))

@@ -104,7 +104,6 @@ impl WhiskerModel<'_> {
     }
 
     /// Its network, with filters that know the calibration's noise; none without one.
-    #[must_use]
     pub fn estimator(&self, vouched: bool) -> Option<NetworkEstimator<'_>> {
         let Network { tracker, card } = self.network.as_ref()?;
         let filters = filters_for(tracker.filters, &self.file.model);
@@ -169,13 +168,11 @@ impl CheckedCalibration {
     }
 
     /// Whether it says of which whisker it is; where not, a model is taken to fit.
-    #[must_use]
     pub fn names_whisker(&self) -> bool {
         self.file.whisker.is_some()
     }
 
     /// With its model, where it was read with the model's card.
-    #[must_use]
     pub fn with(self, tracker: Option<&Tracker>) -> WhiskerModel<'_> {
         let Self { name, place, file, card, doubts } = self;
         let network = tracker.zip(card).map(|(tracker, card)| Network { tracker, card });

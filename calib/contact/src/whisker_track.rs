@@ -59,7 +59,6 @@ pub struct WhiskerTrack<'a> {
 
 impl<'a> WhiskerTrack<'a> {
     /// Of an estimator in the frame of its wire; `tare_s`: time at the beginning whose mean moments are the zero; `followed`: contacts have intervals.
-    #[must_use]
     pub fn new(
         facts: WhiskerFacts,
         (frame, estimator): (WireFrame, Box<dyn Estimator + 'a>),
@@ -165,25 +164,21 @@ impl<'a> WhiskerTrack<'a> {
     }
 
     /// Distances of the contacts on the object; none without one, or for few contacts.
-    #[must_use]
     pub fn object_score(&self) -> Option<MeshScore> {
         MeshScore::new(self.distances_mm.clone())
     }
 
     /// Contact intervals and cloud.
-    #[must_use]
     pub fn history(&self) -> &ContactHistory {
         &self.history
     }
 
     /// Name among several, or empty.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.facts.name
     }
 
     /// What was found: for track.json, for people, and for the exit code.
-    #[must_use]
     pub fn findings(&self) -> TrackFindings {
         let found = self.estimator.findings();
         let groove = self.groove.as_ref();
@@ -246,7 +241,6 @@ pub struct Outcome {
 
 impl Outcome {
     /// Both.
-    #[must_use]
     pub fn and(self, other: Self) -> Self {
         Self {
             outside: self.outside || other.outside,
@@ -257,7 +251,6 @@ impl Outcome {
     }
 
     /// Exit code of the program: 4 before 3 before 0; `forced`: the user takes what is not good enough.
-    #[must_use]
     pub fn exit_code(self, forced: bool) -> u8 {
         match ((self.outside || self.coverage_rejected) && !forced, self.lost || self.doubt) {
             (true, _) => 4,

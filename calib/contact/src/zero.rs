@@ -54,7 +54,6 @@ pub struct Zero {
 
 impl Zero {
     /// The mean over a time, s; 0: the calibration's zero.
-    #[must_use]
     pub fn new(span_s: f64) -> Self {
         Self { span_s, begun_s: None, sum_nmm: Vector2::zeros(), shared_nmm: Vec::new(), count: 0.0 }
     }
@@ -111,7 +110,6 @@ pub(crate) fn steady(moments_nmm: &[Vector2<f64>], noise_nmm: f64) -> Option<Ste
 
 /// What the first readings of a table are. A calibration that does not know the zero of the free wire cannot tell a beginning in contact: any
 /// steady one is taken for free.
-#[must_use]
 pub fn beginning(readings: &[Reading], zero_known: bool) -> FreeStart {
     let all: Vec<(f64, &Moments)> =
         readings.iter().filter_map(|r| Some((r.t_s, r.moments.as_ref()?))).collect();

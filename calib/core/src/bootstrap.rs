@@ -23,13 +23,11 @@ pub fn redrawn<R: Rng>(units: usize, rng: &mut R) -> impl Iterator<Item = usize>
 }
 
 /// Central 95 % of the replicates; none without any.
-#[must_use]
 pub fn percentile_interval95(replicates: Vec<f64>) -> Option<[f64; 2]> {
     interval(replicates, 0.025)
 }
 
 /// The same, wider as `units` ask for; none for fewer than two.
-#[must_use]
 pub fn expanded_interval95(replicates: Vec<f64>, units: usize) -> Option<[f64; 2]> {
     let n = units as f64;
     let t = StudentsT::new(0.0, 1.0, n - 1.0).ok().filter(|_| units > 1)?.inverse_cdf(0.975);

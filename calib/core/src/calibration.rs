@@ -40,7 +40,6 @@ pub struct CalibrationFrame {
 
 impl CalibrationFrame {
     /// The moments that the calibration gives.
-    #[must_use]
     pub fn moments(&self) -> MomentAxes {
         MomentAxes { axes: self.moment_axes, sign: self.moment_sign }
     }

@@ -19,27 +19,23 @@ pub struct HostClock {
 
 impl HostClock {
     /// Starts at the system time.
-    #[must_use]
     pub fn start(scale: f64) -> Self {
         let epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         Self { start_ns: now_ns(), start_epoch_s: epoch.as_secs_f64(), scale }
     }
 
     /// Now, s.
-    #[must_use]
     pub fn now_s(&self) -> f64 {
         self.start_epoch_s + (now_ns() - self.start_ns) as f64 * 1e-9 * self.scale
     }
 
     /// Host seconds per wall second; 1 on a real bench.
-    #[must_use]
     pub fn scale(&self) -> f64 {
         self.scale
     }
 }
 
 /// Lateness (bench time, s) from which on a reading is called late, on a bench that runs `clock_scale` times as fast as real time.
-#[must_use]
 pub fn late_s(clock_scale: f64) -> f64 {
     (LATE_WALL_S * clock_scale).min(LATE_BENCH_S)
 }

@@ -34,7 +34,6 @@ impl Signal {
     const ALL: [Self; 3] = [Self::CtrlC, Self::Terminate, Self::HangUp];
 
     /// As in messages.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::CtrlC => "Ctrl-C",
@@ -71,7 +70,6 @@ impl Interrupt {
     }
 
     /// Who asks for an end, if anybody does.
-    #[must_use]
     pub fn signal(&self) -> Option<Signal> {
         let code = self.0.load(Ordering::SeqCst);
         // While they are held back nobody asks: the code with its flag is past the last signal.
@@ -111,7 +109,6 @@ pub struct Deadline {
 
 impl Deadline {
     /// From now on; an interrupt ends it earlier.
-    #[must_use]
     pub fn after(allowed: Duration, interrupt: &Interrupt) -> Self {
         let allowed = allowed.min(LONGEST);
         let still = standstill::total();
@@ -119,13 +116,11 @@ impl Deadline {
     }
 
     /// For what must be tried whatever the user wants: to stop a stage.
-    #[must_use]
     pub fn whatever_happens(allowed: Duration) -> Self {
         Self::after(allowed, &Interrupt::default())
     }
 
     /// An earlier end: a part of this wait.
-    #[must_use]
     pub fn within(&self, allowed: Duration) -> Self {
         let still = standstill::total();
         let end = (self.end + still.saturating_sub(self.still)).min(Instant::now() + allowed.min(LONGEST));
@@ -133,13 +128,11 @@ impl Deadline {
     }
 
     /// The time that was allowed.
-    #[must_use]
     pub fn allowed(&self) -> Duration {
         self.allowed
     }
 
     /// What is left; zero when it is over or interrupted.
-    #[must_use]
     pub fn left(&self) -> Duration {
         match self.interrupt.signal() {
             Some(_) => Duration::ZERO,
@@ -153,13 +146,11 @@ impl Deadline {
     }
 
     /// Whether nothing is left.
-    #[must_use]
     pub fn is_over(&self) -> bool {
         self.left().is_zero()
     }
 
     /// Time for one call of the system: short, so that an interrupt is heard, and never zero, which some calls take for no limit.
-    #[must_use]
     pub fn slice(&self) -> Duration {
         self.left().clamp(Duration::from_millis(1), SLICE)
     }
@@ -177,7 +168,6 @@ impl Deadline {
     }
 
     /// Why it is over: `Interrupted`, or `Timeout` with what was expected in the time allowed, and what was found instead.
-    #[must_use]
     pub fn error(&self, device: &str, action: &str, expected: &str, found: &str) -> DeviceError {
         match self.interrupt.signal() {
             Some(signal) => interrupted(device, action, signal),
@@ -191,7 +181,6 @@ impl Deadline {
 
 /// Longest time (wall) that a move of this way (mm) at this speed (mm/s) may take; `clock_scale`: host seconds per wall second. A way or
 /// speed that is no number above 0 is allowed the margin alone.
-#[must_use]
 pub fn move_allowance(way_mm: f64, speed_mm_s: f64, clock_scale: f64) -> Duration {
     let own_s = way_mm.abs() / speed_mm_s.abs() / clock_scale.max(f64::MIN_POSITIVE);
     let own = if own_s.is_nan() {

@@ -49,7 +49,6 @@ pub enum DeviceErrorKind {
 
 impl DeviceErrorKind {
     /// The name used in sessions and reports, e.g. `not-homed`.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Timeout => "timeout",
@@ -73,7 +72,6 @@ impl DeviceErrorKind {
     }
 
     /// Whether the same request may succeed when it is sent again.
-    #[must_use]
     pub const fn may_retry(self) -> bool {
         matches!(self, Self::Timeout | Self::Protocol)
     }
@@ -149,7 +147,6 @@ pub struct DeviceIdentity {
 
 impl DeviceIdentity {
     /// Whether the unit is one of the virtual bench: its interrogators and cameras say so in their model.
-    #[must_use]
     pub fn is_virtual(&self) -> bool {
         self.model.split_whitespace().any(|word| word == "virtual")
     }
@@ -182,7 +179,6 @@ pub struct Permission {
 
 impl Permission {
     /// Whether this failure is one that the user allows to be put right.
-    #[must_use]
     pub fn covers(self, failure: &DeviceError) -> bool {
         match failure.kind {
             DeviceErrorKind::NotHomed => self.home,
@@ -287,7 +283,6 @@ pub struct InterrogatorHealth {
 
 impl InterrogatorHealth {
     /// Names of all faults shown; empty when the data can be used.
-    #[must_use]
     pub fn faults(&self) -> Vec<&'static str> {
         let all = [
             (self.calibration_fault, "calibration-fault"),

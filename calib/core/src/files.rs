@@ -131,7 +131,6 @@ pub fn sync_folder(folder: &Path) -> Result<(), FileError> {
 }
 
 /// The folder that holds `path`; the working folder for a bare name.
-#[must_use]
 pub fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }

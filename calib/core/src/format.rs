@@ -26,7 +26,6 @@ pub fn expect(expected: &str, found: Option<&str>) -> Result<(), FormatMismatch>
 }
 
 /// Whether `found` is a later version of the format.
-#[must_use]
 pub fn is_newer(expected: &str, found: &str) -> bool {
     let version = |format: &str| -> Option<(String, u32)> {
         let (name, version) = format.rsplit_once('/')?;

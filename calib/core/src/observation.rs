@@ -98,13 +98,11 @@ impl WhiskerSpec {
     }
 
     /// Density, kg/m^3: the stated one, or NiTi's.
-    #[must_use]
     pub fn density_or_niti_kg_m3(&self) -> f64 {
         self.density_kg_m3.unwrap_or(NITI_KG_M3)
     }
 
     /// The paper's wire as it is nominally: NiTi, 0.3 mm thick, 30 mm straight and 30 mm on an arc of 20 mm (docs/src/system.md).
-    #[must_use]
     pub fn nominal() -> Self {
         Self {
             diameter_mm: 0.3,
@@ -139,7 +137,6 @@ const MAX_APART_MM: f64 = 1.0;
 
 impl RestShape {
     /// As points that are at most `step_mm` apart where it is given by lengths; a polyline as it is.
-    #[must_use]
     pub fn points(&self, step_mm: f64) -> Vec<Vector3<f64>> {
         let (straight_mm, radius_mm, length_mm) = match self {
             Self::Polyline(points) => return points.clone(),
@@ -199,7 +196,6 @@ impl Default for MomentAxes {
 
 impl MomentAxes {
     /// Components (N mm) of a base moment vector r x F (N mm, base frame).
-    #[must_use]
     pub fn components_nmm(&self, moment_nmm: &Vector3<f64>) -> [f64; 2] {
         [self.sign * self.axes[0].dot(moment_nmm), self.sign * self.axes[1].dot(moment_nmm)]
     }
@@ -222,7 +218,6 @@ pub struct FbgSpec {
 
 impl FbgSpec {
     /// Whether readings must be compensated with the strain-isolated grating.
-    #[must_use]
     pub fn needs_reference(&self) -> bool {
         !self.temperature_compensated
             && self.temperature_pm_per_degc.is_some()
@@ -230,13 +225,11 @@ impl FbgSpec {
     }
 
     /// Temperature over that of the reference grating's nominal wavelength, K, from its shift (pm), where its coefficient is known.
-    #[must_use]
     pub fn rise_degc(&self, reference_shift_pm: f64) -> Option<f64> {
         self.reference_temperature_pm_per_degc.filter(|k| *k != 0.0).map(|k| reference_shift_pm / k)
     }
 
     /// Temperature-compensated shifts, pm, from raw shifts and the reference grating's: see [`WhiskerRow::compensated_pm`].
-    #[must_use]
     pub fn compensated_pm(&self, shift_pm: [f64; 2], reference_shift_pm: Option<f64>) -> [f64; 2] {
         if self.temperature_compensated {
             return shift_pm;
@@ -251,7 +244,6 @@ impl FbgSpec {
 impl WhiskerSpec {
     /// The first property in which another whisker differs by more than a share of 1 % (shape: 1 mm), named with both values; the
     /// density does not bend a wire at rest and is not compared.
-    #[must_use]
     pub fn difference(&self, other: &Self) -> Option<String> {
         let own = [
             ("diameter_mm", self.diameter_mm, other.diameter_mm),
@@ -354,7 +346,6 @@ pub struct WhiskerRow {
 impl WhiskerRow {
     /// Temperature-compensated shifts, pm: `shift - k_T (T - T0)` with `T - T0` from the strain-isolated grating.
     /// Uncompensated where the session has no reference grating or says that it is compensated already.
-    #[must_use]
     pub fn compensated_pm(&self, fbg: &FbgSpec) -> [f64; 2] {
         fbg.compensated_pm(self.shift_pm, self.reference_shift_pm)
     }
@@ -416,7 +407,6 @@ pub struct PairLeftOut {
 
 impl WhiskerData {
     /// The trajectory with this identifier.
-    #[must_use]
     pub fn trajectory(&self, id: u32) -> Option<&Trajectory> {
         self.trajectories.iter().find(|t| t.id == id)
     }
@@ -527,7 +517,6 @@ pub enum SessionData {
 
 impl SessionData {
     /// Kind of the session.
-    #[must_use]
     pub fn kind(&self) -> SessionKind {
         match self {
             Self::Whisker(_) => SessionKind::Whisker,

@@ -32,7 +32,6 @@ pub enum Purpose {
 
 impl Purpose {
     /// No readings.
-    #[must_use]
     pub fn is_description(&self) -> bool {
         *self == Self::Description
     }
@@ -63,13 +62,11 @@ pub(crate) fn is_measured(simulated: &bool) -> bool {
 }
 
 /// SHA-256 of `bytes`, lower-case hex.
-#[must_use]
 pub fn sha256_hex(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
 }
 
 /// JSON without spaces and with the keys of every object sorted: equal content is equal text, and so has one hash.
-#[must_use]
 pub fn canonical_json(value: &serde_json::Value) -> String {
     use serde_json::Value;
     match value {

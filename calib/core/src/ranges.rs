@@ -18,13 +18,11 @@ pub struct Range {
 
 impl Range {
     /// Real numbers.
-    #[must_use]
     pub const fn real(key: &'static str, low: f64, high: f64) -> Self {
         Self { key, low, high, whole: false }
     }
 
     /// Whole numbers.
-    #[must_use]
     pub const fn whole(key: &'static str, low: f64, high: f64) -> Self {
         Self { key, low, high, whole: true }
     }
@@ -183,7 +181,6 @@ pub fn check(document: &impl Numbers, ranges: &[&[Range]]) -> Result<(), OutOfRa
 }
 
 /// The range of a key: the first that fits.
-#[must_use]
 pub fn range_of<'a>(key: &str, ranges: &'a [Range]) -> Option<&'a Range> {
     ranges.iter().find(|range| range.fits(key))
 }

@@ -4,7 +4,6 @@
 const DIGITS: i32 = 8;
 
 /// Coarsest decimal step of which all values are multiples; none where it is fine beside their size, as noise then hides it.
-#[must_use]
 pub fn decimal_step(values: &[f64]) -> Option<f64> {
     let largest = values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
     if !(largest > 0.0) {

@@ -181,7 +181,6 @@ pub struct InterrogatorRig {
 
 impl InterrogatorRig {
     /// Names of the whiskers, in order; one without a name where the gratings name none.
-    #[must_use]
     pub fn whiskers(&self) -> Vec<&str> {
         let mut names: Vec<&str> = Vec::new();
         for grating in &self.grating {
@@ -193,7 +192,6 @@ impl InterrogatorRig {
     }
 
     /// A grating of a whisker by name.
-    #[must_use]
     pub fn grating_of(&self, whisker: &str, name: &str) -> Option<&GratingRig> {
         self.grating.iter().find(|g| g.whisker == whisker && g.name == name)
     }

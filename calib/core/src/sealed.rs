@@ -72,19 +72,16 @@ pub struct Unsealing {
 
 impl<R> Sealed<R> {
     /// Seals rows.
-    #[must_use]
     pub fn new(rows: Vec<R>) -> Self {
         Self { rows }
     }
 
     /// Number of rows.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.rows.len()
     }
 
     /// Whether nothing is sealed.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
@@ -105,13 +102,11 @@ impl<R> Sealed<R> {
     }
 
     /// The same rows in another form, still sealed.
-    #[must_use]
     pub fn map<T>(&self, form: impl Fn(&R) -> T) -> Sealed<T> {
         Sealed { rows: self.rows.iter().map(form).collect() }
     }
 
     /// Who the rows are.
-    #[must_use]
     pub fn labels(&self) -> Vec<RowLabel>
     where
         R: Labelled,
@@ -130,7 +125,6 @@ impl<R> Sealed<R> {
     }
 
     /// Breaks the seal.
-    #[must_use]
     pub fn unseal(&self, seal: &Seal) -> (&[R], Unsealing) {
         let seen_before = seal.files.iter().any(|f| seal.opened_before.contains(&f.sha256));
         let record = Unsealing {

@@ -138,7 +138,6 @@ pub struct ShapesSource {
 
 /// Hash by which the rig of some shapes is recognised: [`crate::provenance::sha256_hex`] of the tables `whisker`, `tags` and `groove` of
 /// a rig file as JSON with sorted keys. Addresses, speeds and comments do not count.
-#[must_use]
 pub fn rig_sha256(rig: &serde_json::Value) -> String {
     let parts: serde_json::Map<String, serde_json::Value> = ["groove", "tags", "whisker"]
         .into_iter()

@@ -63,7 +63,6 @@ impl Watch {
 }
 
 /// Time since the computer started, its sleep included, ns.
-#[must_use]
 pub fn now_ns() -> u64 {
     #[cfg(target_os = "linux")]
     {
@@ -95,13 +94,11 @@ fn watch() -> Option<&'static Watch> {
 }
 
 /// How long this program has stood still since the first call.
-#[must_use]
 pub fn total() -> Duration {
     watch().map_or(Duration::ZERO, |watch| Duration::from_nanos(watch.total_ns(now_ns())))
 }
 
 /// What a device reports: where this program has just stood still, that is said first, and no device is blamed.
-#[must_use]
 pub fn blame(error: DeviceError) -> DeviceError {
     let still_ns = watch().map_or(0, |watch| watch.just_now_ns(now_ns()));
     if still_ns == 0 || error.kind == DeviceErrorKind::Interrupted {

@@ -48,25 +48,21 @@ impl Flags {
     ];
 
     /// Both.
-    #[must_use]
     pub fn with(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 
     /// Whether all bits of the other are set.
-    #[must_use]
     pub fn has(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
 
     /// Whether nothing is wrong.
-    #[must_use]
     pub fn none(self) -> bool {
         self.0 == 0
     }
 
     /// `ok`, or the names with `|` between them.
-    #[must_use]
     pub fn text(self) -> String {
         if self.none() {
             return "ok".to_owned();

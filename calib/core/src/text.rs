@@ -17,7 +17,6 @@ pub struct NotUtf8 {
 }
 
 /// What the first bytes of a file are that is no UTF-8 text by its beginning; none where it may be.
-#[must_use]
 pub fn other_than_text(bytes: &[u8]) -> Option<NotUtf8> {
     let start = &bytes[..bytes.len().min(START)];
     let sheet = "save the sheet as CSV UTF-8";
@@ -40,7 +39,6 @@ pub fn other_than_text(bytes: &[u8]) -> Option<NotUtf8> {
 }
 
 /// What a message repeats of a file's content, or of a parser's words about it: one line, the middle left out where it is long.
-#[must_use]
 pub fn brief(text: &str) -> String {
     /// Characters of the beginning and of the end that are kept.
     const KEPT: [usize; 2] = [220, 80];

@@ -122,7 +122,6 @@ pub struct VerifyDocument {
 
 impl VerifyDocument {
     /// The document of data that cannot be used; `inputs` are left to the caller.
-    #[must_use]
     pub fn refused(
         session: impl Into<String>,
         kind: impl Into<String>,

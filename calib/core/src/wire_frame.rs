@@ -67,7 +67,6 @@ impl WireFrame {
     }
 
     /// The whisker in this frame.
-    #[must_use]
     pub fn whisker(&self, whisker: &WhiskerSpec) -> WhiskerSpec {
         let Some((turn, _)) = &self.wire_from_base else { return whisker.clone() };
         let points = match &whisker.rest_shape {
@@ -84,31 +83,26 @@ impl WireFrame {
     }
 
     /// Rotation from base coordinates to those of this frame.
-    #[must_use]
     pub fn rotation(&self) -> Rotation3<f64> {
         self.wire_from_base.as_ref().map_or_else(Rotation3::identity, |(turn, _)| *turn)
     }
 
     /// Moments (N mm) as components along y and z of this frame.
-    #[must_use]
     pub fn moment(&self, moment_nmm: [f64; 2]) -> [f64; 2] {
         self.wire_from_base.as_ref().map_or(moment_nmm, |(_, mix)| (mix * Vector2::from(moment_nmm)).into())
     }
 
     /// Their covariance, (N mm)^2.
-    #[must_use]
     pub fn covariance(&self, nmm2: &Matrix2<f64>) -> Matrix2<f64> {
         self.wire_from_base.as_ref().map_or(*nmm2, |(_, mix)| mix * nmm2 * mix.transpose())
     }
 
     /// Way of the base past an object at rest that sweeps have: against the wire's bend. Base frame.
-    #[must_use]
     pub fn sweep_direction(&self) -> Vector3<f64> {
         self.rotation().inverse() * Vector3::z()
     }
 
     /// Whether coordinates are those of the base.
-    #[must_use]
     pub fn is_base(&self) -> bool {
         self.wire_from_base.is_none()
     }

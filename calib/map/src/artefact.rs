@@ -89,13 +89,11 @@ impl OutputMap {
     }
 
     /// Noise standard deviation, N mm, before inflation.
-    #[must_use]
     pub fn noise_sd_nmm(&self) -> f64 {
         (self.variance_nmm2 * self.nugget).sqrt()
     }
 
     /// Signal standard deviation, N mm; 0 without a kernel.
-    #[must_use]
     pub fn signal_sd_nmm(&self) -> f64 {
         (self.variance_nmm2 * self.kernel.at_zero()).sqrt()
     }

@@ -46,7 +46,6 @@ impl MapKind {
     ];
 
     /// Name in `fit-gpr.json`.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Affine => "affine",
@@ -67,7 +66,6 @@ impl MapKind {
     }
 
     /// Whether fitting it costs the cube of the number of readings.
-    #[must_use]
     pub fn is_process(self) -> bool {
         !matches!(self, Self::Affine | Self::Quadratic)
     }
@@ -149,7 +147,6 @@ impl LeftOutSummary {
     }
 
     /// Share of the readings inside their 95 % interval once every interval is widened by `inflation`.
-    #[must_use]
     pub fn coverage_with(&self, inflation: f64) -> f64 {
         let inside = self.errors.iter().filter(|e| Self::reach(e) <= inflation).count();
         inside as f64 / self.errors.len().max(1) as f64
@@ -162,7 +159,6 @@ impl LeftOutSummary {
 
     /// Factor on the standard deviation: 1 unless the left-out coverage lies below the binomial bounds of 95 %, then the
     /// smallest factor that brings the ceil(0.95 (n + 1))-th largest error inside (split-conformal rank). Never below 1.
-    #[must_use]
     pub fn inflation(&self) -> f64 {
         let n = self.errors.len();
         let inside = (self.coverage95 * n as f64).round() as usize;

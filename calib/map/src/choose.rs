@@ -32,7 +32,6 @@ pub struct Choice {
 /// The best candidate has the smallest product of the two moments' mean squared errors. The first candidate in the given
 /// order (simplest first) whose squared error exceeds the best one's by no more than one standard error of the paired
 /// difference over trajectories is chosen (the one-standard-error rule of Breiman et al. 1984, paired).
-#[must_use]
 pub fn choose(candidates: &[CandidateFit], training: &MapTraining) -> Choice {
     let by_trajectory = candidates.iter().all(|c| c.loto.is_some());
     let group_of: Vec<usize> = if by_trajectory {

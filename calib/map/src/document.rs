@@ -8,7 +8,6 @@ use std::collections::BTreeMap;
 use wcal_core::map_document::{Identifiability, MAP_FORMAT, MapCandidate, MapDocument};
 
 /// The document of a fit; `poses` is the number of calibration poses (rest not counted).
-#[must_use]
 pub fn document(fit: &MapFit, training: &MapTraining, poses: usize) -> MapDocument {
     let candidates = fit
         .candidates

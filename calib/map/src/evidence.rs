@@ -28,7 +28,6 @@ pub struct ShapeSearch {
 
 impl ShapeSearch {
     /// A bracket of a factor 3 either way about a value, inside the range: folds start from the full fit.
-    #[must_use]
     pub fn about(&self, value: f64) -> Self {
         Self { low: (value / 3.0).max(self.low), high: (value * 3.0).min(self.high), steps: 3 }
     }
@@ -132,7 +131,6 @@ fn profiled(n: usize, square: f64, log_det: f64) -> f64 {
 }
 
 /// Restricted log likelihood of a model with s2 profiled out; none where it is not positive definite.
-#[must_use]
 pub fn log_evidence(model: &ProcessModel, inputs: &[[f64; 2]], y: &[f64]) -> Option<f64> {
     let null = TrendNull::new(model.trend, inputs);
     if model.kernel == Kernel::None {

@@ -36,20 +36,17 @@ impl ConditionedProcess {
     }
 
     /// What the values take off the prior variance where the covariances with them are `k`: k . C^-1 k.
-    #[must_use]
     pub fn explained(&self, mut k: DVector<f64>) -> f64 {
         // Half of the solution is enough for its square.
         if self.factor.l_dirty().solve_lower_triangular_mut(&mut k) { k.norm_squared() } else { 0.0 }
     }
 
     /// y . C^-1 y.
-    #[must_use]
     pub fn misfit(&self) -> f64 {
         self.values.dot(&self.weights)
     }
 
     /// ln det C.
-    #[must_use]
     pub fn log_determinant(&self) -> f64 {
         2.0 * self.factor.l_dirty().diagonal().iter().map(|v| v.ln()).sum::<f64>()
     }

@@ -29,7 +29,6 @@ pub struct WavelengthFromMoment {
 
 impl WavelengthFromMoment {
     /// Shifts at a moment, pm.
-    #[must_use]
     pub fn shift_pm(&self, moment_nmm: [f64; 2]) -> [f64; 2] {
         [0, 1].map(|g| {
             let k = self.k_pm_per_nmm[g];
@@ -38,7 +37,6 @@ impl WavelengthFromMoment {
     }
 
     /// Standard deviations of the moments (N mm) by independent ones of the shifts (pm): `m = K^-1 (shift - zero)`.
-    #[must_use]
     pub fn moment_sd_nmm(&self, shift_sd_pm: [f64; 2]) -> Option<[f64; 2]> {
         let [[a, b], [c, d]] = self.k_pm_per_nmm;
         let determinant = a * d - b * c;

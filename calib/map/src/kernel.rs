@@ -37,7 +37,6 @@ pub enum Kernel {
 
 impl Kernel {
     /// Correlation at distance `r` (scaled input units).
-    #[must_use]
     #[inline]
     pub fn at(&self, r: f64) -> f64 {
         match *self {
@@ -54,13 +53,11 @@ impl Kernel {
     }
 
     /// Prior variance of the correlated part in units of the signal variance.
-    #[must_use]
     pub fn at_zero(&self) -> f64 {
         if *self == Self::None { 0.0 } else { 1.0 }
     }
 
     /// The one shape parameter: R or the length.
-    #[must_use]
     pub fn shape(&self) -> Option<f64> {
         match *self {
             Self::None => None,
@@ -70,7 +67,6 @@ impl Kernel {
     }
 
     /// The same form with another shape parameter.
-    #[must_use]
     pub fn with_shape(&self, shape: f64) -> Self {
         match self {
             Self::None => Self::None,
@@ -95,7 +91,6 @@ impl Kernel {
     }
 
     /// Correlation matrix of scaled inputs, n x n.
-    #[must_use]
     pub fn matrix(&self, inputs: &[[f64; 2]]) -> DMatrix<f64> {
         let n = inputs.len();
         let mut k = DMatrix::zeros(n, n);

@@ -32,13 +32,11 @@ pub struct MapPrediction {
 
 impl MapPrediction {
     /// Whether the reading lies in the valid region.
-    #[must_use]
     pub fn is_valid(&self) -> bool {
         self.outside_by_pm <= 0.0
     }
 
     /// What the spread is made of: the map's uncertainty is taken as common to all readings, one unknown for each moment.
-    #[must_use]
     pub fn spread(&self) -> MomentSpread {
         const MIN_NMM2: f64 = 1e-12;
         let map = self.sd_map_nmm;
@@ -127,7 +125,6 @@ impl MapPredictor {
     }
 
     /// Moments alone, N mm: the mean without its deviation costs one pass over the readings.
-    #[must_use]
     pub fn mean_nmm(&self, shift_pm: [f64; 2]) -> [f64; 2] {
         let z = [0, 1].map(|c| (shift_pm[c] - self.centre_pm[c]) / self.scale_pm);
         self.outputs.each_ref().map(|output| {

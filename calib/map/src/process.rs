@@ -129,13 +129,11 @@ impl Process {
     }
 
     /// Noise variance, output units squared.
-    #[must_use]
     pub fn noise_variance(&self) -> f64 {
         self.variance * self.model.nugget
     }
 
     /// Mean at a scaled input and the variances of the mean without and with noise, output units squared.
-    #[must_use]
     pub fn predict(&self, z: [f64; 2]) -> (f64, f64, f64) {
         let kernel = &self.model.kernel;
         let k = DVector::from_iterator(
@@ -173,7 +171,6 @@ impl Process {
 
     /// Errors of each group when it is left out, from the inverse alone (Dubrule 1983; Rasmussen & Williams 2006, eq. 5.12):
     /// e_g = (P_gg)^-1 (P y)_g. Hyperparameters stay; trend and, where it is estimated, s2 are those of the rest.
-    #[must_use]
     pub fn leave_out(&self, groups: &[Vec<usize>]) -> Vec<LeftOut> {
         let p = self.projection();
         let total = self.dof.map_or(0.0, |nu| nu * self.variance);

@@ -24,7 +24,6 @@ pub struct ValidRegion {
 
 impl ValidRegion {
     /// Hull of `readings` and `declared` (pm), grown by `margin` times its diameter.
-    #[must_use]
     pub fn new(readings: &[[f64; 2]], declared: &[[f64; 2]], margin: f64) -> Self {
         let all: Vec<[f64; 2]> = readings.iter().chain(declared).copied().collect();
         let vertices_pm = convex_hull(&all);
@@ -33,7 +32,6 @@ impl ValidRegion {
     }
 
     /// How far a reading lies outside the grown hull, pm; 0 inside. No allocation.
-    #[must_use]
     pub fn outside_by_pm(&self, shift_pm: [f64; 2]) -> f64 {
         if !shift_pm.iter().all(|v| v.is_finite()) {
             return f64::INFINITY;
@@ -42,7 +40,6 @@ impl ValidRegion {
     }
 
     /// Largest distance between two valid readings, pm.
-    #[must_use]
     pub fn diameter_pm(&self) -> f64 {
         diameter(&self.vertices_pm) + 2.0 * self.margin_pm
     }

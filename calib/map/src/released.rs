@@ -25,7 +25,6 @@ pub const RADIUS: f64 = 1000.0;
 const NOISE_VARIANCE: f64 = 3.0 * 3.0 + 1.0;
 
 /// The process of either moment.
-#[must_use]
 pub fn model() -> ProcessModel {
     let variance = RADIUS.powi(3) / 12.0;
     ProcessModel {

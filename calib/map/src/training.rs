@@ -23,13 +23,11 @@ pub struct MapTraining {
 
 impl MapTraining {
     /// Number of readings.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.shifts_pm.len()
     }
 
     /// Whether there are no readings.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.shifts_pm.is_empty()
     }
@@ -68,7 +66,6 @@ impl MapTraining {
     }
 
     /// Without the readings at rest.
-    #[must_use]
     pub fn loaded(&self) -> Self {
         fn kept<T: Copy>(all: &[T], loaded: &[usize]) -> Vec<T> {
             if all.is_empty() { Vec::new() } else { loaded.iter().map(|i| all[*i]).collect() }
@@ -85,13 +82,11 @@ impl MapTraining {
     }
 
     /// Distinct trajectories in ascending order, rest not counted.
-    #[must_use]
     pub fn trajectories(&self) -> Vec<u32> {
         self.trajectory.iter().flatten().copied().collect::<BTreeSet<_>>().into_iter().collect()
     }
 
     /// Readings left out together by leave-one-out: one entry a pose, in order of first appearance.
-    #[must_use]
     pub fn pose_groups(&self) -> Vec<Vec<usize>> {
         if self.pose.is_empty() {
             return (0..self.len()).map(|i| vec![i]).collect();
@@ -111,20 +106,17 @@ impl MapTraining {
     }
 
     /// One moment's labels, N mm.
-    #[must_use]
     pub fn moment_nmm(&self, moment: usize) -> Vec<f64> {
         self.moments_nmm.iter().map(|m| m[moment]).collect()
     }
 
     /// Centre (pm) and one common scale (pm) for both gratings: a common scale keeps the kernel isotropic in wavelength.
-    #[must_use]
     pub fn input_scaling(&self) -> ([f64; 2], f64) {
         let (centre, spread) = centre_and_spread(&self.shifts_pm);
         (centre, if spread > 0.0 { spread } else { 1.0 })
     }
 
     /// Largest distance between two readings, pm.
-    #[must_use]
     pub fn diameter_pm(&self) -> f64 {
         diameter(&self.shifts_pm)
     }

@@ -26,7 +26,6 @@ pub enum Trend {
 
 impl Trend {
     /// Number of coefficients.
-    #[must_use]
     pub fn terms(self) -> usize {
         match self {
             Self::Zero => 0,
@@ -37,7 +36,6 @@ impl Trend {
     }
 
     /// Name for messages.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Zero => "zero",
@@ -48,14 +46,12 @@ impl Trend {
     }
 
     /// Basis functions at a scaled input; the first `terms()` entries count.
-    #[must_use]
     #[inline]
     pub fn basis(self, z: [f64; 2]) -> [f64; MAX_TERMS] {
         [1.0, z[0], z[1], z[0] * z[0], z[0] * z[1], z[1] * z[1]]
     }
 
     /// Basis matrix, n x terms.
-    #[must_use]
     pub fn matrix(self, inputs: &[[f64; 2]]) -> DMatrix<f64> {
         DMatrix::from_fn(inputs.len(), self.terms(), |i, j| self.basis(inputs[i])[j])
     }

@@ -47,7 +47,6 @@ pub struct CableEngine {
 }
 
 /// Why a plan with softening is refused.
-#[must_use]
 pub fn no_softening(found: &str) -> TwinError {
     TwinError::value(
         "softening_onset_per_m",
@@ -75,13 +74,11 @@ impl CableEngine {
     }
 
     /// How far the wire reaches along the straight part's direction, mm.
-    #[must_use]
     pub fn reach_mm(&self) -> f64 {
         self.reach_mm
     }
 
     /// Processor time of the engine's processes so far, s.
-    #[must_use]
     pub fn core_s(&self) -> f64 {
         self.spent_s + self.engine.core_s
     }

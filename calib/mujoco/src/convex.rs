@@ -38,7 +38,6 @@ pub struct Convex {
 
 impl Convex {
     /// Both ways, mm.
-    #[must_use]
     pub fn hausdorff_mm(&self) -> f64 {
         self.beyond_mm.max(self.short_mm)
     }
@@ -75,7 +74,6 @@ impl Convex {
     }
 
     /// Corners as vectors, mm.
-    #[must_use]
     pub fn corners(&self) -> Vec<Vec<Vector3<f64>>> {
         self.parts.iter().map(|part| part.iter().map(|p| Vector3::from(*p)).collect()).collect()
     }

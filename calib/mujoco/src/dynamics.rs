@@ -114,7 +114,6 @@ const UNKNOWN_STEPS: f64 = 1e3;
 
 impl Sensitivity {
     /// Names of the parameters that the data do not determine to a step of the grid while the others are free.
-    #[must_use]
     pub fn undetermined(&self) -> Vec<&'static str> {
         let names = ["damping", "width", "d0", "dmax"];
         names
@@ -143,7 +142,6 @@ fn together_steps(changes: &[Vec<f64>; 4]) -> [f64; 4] {
 }
 
 /// Time constant of a ring-down: the last time at which the moment is above 1/e of its start, s. The end's mean is taken off.
-#[must_use]
 pub fn ring_down_s(time_s: &[f64], moment: &[f64]) -> Option<f64> {
     let tail = moment.len() / 10;
     if time_s.len() != moment.len() || tail == 0 {

@@ -101,7 +101,6 @@ pub fn bench(whisker: &WhiskerSpec, preset: Preset, touch: Touch) -> Result<Stri
 }
 
 /// The wire of [`Preset::Paper`]: damping, armature and contact as released, scaled with the links.
-#[must_use]
 pub fn paper_options(whisker: &WhiskerSpec) -> MjcfOptions {
     let section = wcal_rod::Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
     // Stiffness of a joint of the released cable, N m.

@@ -71,7 +71,6 @@ pub struct PoseLabel {
 
 impl PoseLabel {
     /// Whether the moment hangs on neither history nor version.
-    #[must_use]
     pub fn certain(&self) -> bool {
         self.settled && self.moment_nmm.is_some() && self.elsewhere.is_none()
     }

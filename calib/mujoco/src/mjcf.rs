@@ -80,7 +80,6 @@ impl Touch {
     };
 
     /// Attributes of a geom.
-    #[must_use]
     pub fn attributes(&self) -> String {
         let Self { friction, turning_m: [turn, roll], time_s, impedance: [d0, most], width_mm, bend } = self;
         let [middle, power] = bend;
@@ -220,7 +219,6 @@ pub fn mjcf_among(
 }
 
 /// Convex parts (corners, mm) as assets and as geoms of a body, each with its name.
-#[must_use]
 pub fn convex_parts(prefix: &str, parts: &[Vec<Vector3<f64>>], touch: &Touch) -> [String; 2] {
     let mut text = [String::from("<asset>"), String::new()];
     for (k, part) in parts.iter().enumerate() {

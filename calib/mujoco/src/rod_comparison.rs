@@ -146,7 +146,6 @@ struct Bin {
 
 impl ComparisonSum {
     /// Over bins of speed, mm/s: from, to.
-    #[must_use]
     pub fn new(speeds: Vec<[f64; 2]>) -> Self {
         let bins = speeds.into_iter().map(|speed_mm_s| Bin { speed_mm_s, ..Bin::default() }).collect();
         Self { bins, ..Self::default() }
@@ -209,7 +208,6 @@ impl ComparisonSum {
     }
 
     /// The table.
-    #[must_use]
     pub fn table(self) -> RodComparison {
         let bias_per_mm_s = slope(&self.sweeps);
         let by_speed = self.bins.into_iter().map(Bin::row).collect();

@@ -43,7 +43,6 @@ pub struct ReportInput {
 
 impl ReportInput {
     /// A report of `verify` alone; fill the other fields as far as they are known.
-    #[must_use]
     pub fn new(verify: VerifyDocument, provenance: Provenance) -> Self {
         Self {
             title: String::new(),
@@ -65,13 +64,11 @@ impl ReportInput {
     }
 
     /// Title, or the session identifier where there is none.
-    #[must_use]
     pub fn heading(&self) -> &str {
         if self.title.is_empty() { &self.verify.session } else { &self.title }
     }
 
     /// See [`model_after`].
-    #[must_use]
     pub fn model_after(&self) -> &'static str {
         model_after(&self.verify, self.accepted_on_request)
     }
@@ -84,7 +81,6 @@ impl ReportInput {
 }
 
 /// What the errors "after" are those of. Nothing is called accepted that was not.
-#[must_use]
 pub fn model_after(verify: &VerifyDocument, accepted_on_request: bool) -> &'static str {
     match verify.verdict {
         Verdict::Ambiguous if !accepted_on_request => "best explanation, not accepted",
@@ -97,7 +93,6 @@ pub fn model_after(verify: &VerifyDocument, accepted_on_request: bool) -> &'stat
 
 impl IndexEntry {
     /// The line of a session whose report lies at `href`.
-    #[must_use]
     pub fn of(input: &ReportInput, href: impl Into<String>) -> Self {
         Self {
             href: href.into(),

@@ -3,7 +3,6 @@
 use std::fmt::Write;
 
 /// Text that is safe inside elements and attribute values; characters that XML forbids become U+FFFD.
-#[must_use]
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -22,13 +21,11 @@ pub fn escape(text: &str) -> String {
 }
 
 /// `<p>` of escaped text.
-#[must_use]
 pub fn paragraph(text: &str) -> String {
     format!("<p>{}</p>", escape(text))
 }
 
 /// `<ul>` of escaped texts; empty where there are none.
-#[must_use]
 pub fn list(items: &[String]) -> String {
     if items.is_empty() {
         return String::new();
@@ -82,7 +79,6 @@ pub struct Table {
 
 impl Table {
     /// Starts a table; a column whose name begins with `#` holds numbers.
-    #[must_use]
     pub fn new(caption: &str, columns: &[&str]) -> Self {
         let split = |c: &&str| match c.strip_prefix('#') {
             Some(name) => (name.to_owned(), true),
@@ -93,7 +89,6 @@ impl Table {
     }
 
     /// A table whose rows become cards where the page is narrow.
-    #[must_use]
     pub fn stacked(caption: &str, columns: &[&str]) -> Self {
         Self { stacked: true, ..Self::new(caption, columns) }
     }
@@ -109,13 +104,11 @@ impl Table {
     }
 
     /// True before the first row.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
 
     /// The table inside a box that scrolls sideways where the page is narrow.
-    #[must_use]
     pub fn html(&self) -> String {
         let caption = escape(&self.caption);
         let class = if self.stacked { " class=\"stacked\"" } else { "" };

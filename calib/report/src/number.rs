@@ -4,13 +4,11 @@
 pub const NOT_AVAILABLE: &str = "n/a";
 
 /// Four significant digits without trailing zeros, e.g. `0.6`, `134.1`, `2.052×10⁻⁴`; `n/a` where not finite.
-#[must_use]
 pub fn number(value: f64) -> String {
     significant(value, 4)
 }
 
 /// `digits` significant digits without trailing zeros.
-#[must_use]
 pub fn significant(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         return NOT_AVAILABLE.into();
@@ -28,7 +26,6 @@ pub fn significant(value: f64, digits: usize) -> String {
 }
 
 /// A value with its interval, both rounded to two significant digits of the half width.
-#[must_use]
 pub fn with_interval(value: f64, interval: [f64; 2]) -> (String, String) {
     let half = (interval[1] - interval[0]).abs() / 2.0;
     let largest = value.abs().max(interval[0].abs()).max(interval[1].abs());
@@ -59,7 +56,6 @@ fn bracket(low: &str, high: &str) -> String {
 }
 
 /// A p-value: two significant digits, `< 0.0001` below that.
-#[must_use]
 pub fn p_value(p: f64) -> String {
     match p {
         p if !p.is_finite() => NOT_AVAILABLE.into(),
@@ -70,13 +66,11 @@ pub fn p_value(p: f64) -> String {
 }
 
 /// A share of one in percent, e.g. `94.1 %`.
-#[must_use]
 pub fn percent(share: f64) -> String {
     if share.is_finite() { format!("{} %", significant(share * 100.0, 3)) } else { NOT_AVAILABLE.into() }
 }
 
 /// Unit as printed: `1` vanishes, `degc` and `N mm` take their usual form.
-#[must_use]
 pub fn unit_text(unit: &str) -> String {
     match unit {
         "1" | "" => String::new(),
@@ -88,13 +82,11 @@ pub fn unit_text(unit: &str) -> String {
 }
 
 /// A number with its unit.
-#[must_use]
 pub fn quantity(value: f64, unit: &str) -> String {
     join_unit(&number(value), unit)
 }
 
 /// Puts a unit behind a text that is already a number.
-#[must_use]
 pub fn join_unit(text: &str, unit: &str) -> String {
     match unit_text(unit) {
         u if u.is_empty() || text == NOT_AVAILABLE => text.into(),
@@ -103,7 +95,6 @@ pub fn join_unit(text: &str, unit: &str) -> String {
 }
 
 /// Name and unit of a column such as `stage_mm` or `speed_mm_s`: (`stage`, `mm`).
-#[must_use]
 pub fn split_unit(column: &str) -> (String, String) {
     const SUFFIXES: [(&str, &str); 16] = [
         ("_pm_per_degc", "pm/°C"),
@@ -142,7 +133,6 @@ fn trim(text: String) -> String {
 }
 
 /// Exponent in superscript digits.
-#[must_use]
 pub fn superscript(exponent: i32) -> String {
     const DIGITS: [char; 10] = ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'];
     let turn = |c: char| c.to_digit(10).map_or('⁻', |d| DIGITS[d as usize]);

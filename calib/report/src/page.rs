@@ -11,13 +11,11 @@ const SIMULATED: &str = "<span class=\"pill sim\">SIMULATED</span>";
 const STYLE: &str = include_str!("style.css");
 
 /// The page of one session.
-#[must_use]
 pub fn render(input: &ReportInput) -> String {
     document(input.heading(), input.verify.simulated, &session(input, "", "h1"))
 }
 
 /// An overview page that links to session reports in the same folder.
-#[must_use]
 pub fn render_index(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> String {
     let simulated = entries.iter().any(|e| e.verify.simulated);
     document(title, simulated, &overview(title, introduction, entries))
@@ -27,7 +25,6 @@ pub fn render_index(title: &str, introduction: &[&str], entries: &[IndexEntry]) 
 const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"/><meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/><meta name=\"color-scheme\" content=\"light dark\"/><link rel=\"icon\" href=\"data:,\"/><title>";
 
 /// Whether a file that begins so is a page of this program.
-#[must_use]
 pub fn is_page(start: &str) -> bool {
     start.starts_with(HEAD)
 }

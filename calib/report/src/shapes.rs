@@ -67,7 +67,6 @@ pub struct ShapePicture {
 }
 
 /// The page.
-#[must_use]
 pub fn render_shapes(input: &ShapesInput) -> String {
     let warnings = if input.warnings.is_empty() { String::new() } else { list(&input.warnings) };
     let pairs: String = input.pairs.iter().map(|p| pair(p, input.simulated)).collect();

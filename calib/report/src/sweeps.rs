@@ -101,7 +101,6 @@ pub struct ExampleSample {
 }
 
 /// The page.
-#[must_use]
 pub fn render_sweeps(input: &SweepsInput) -> String {
     let warnings = if input.warnings.is_empty() { String::new() } else { list(&input.warnings) };
     simulated(

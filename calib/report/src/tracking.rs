@@ -50,7 +50,6 @@ pub struct NumberTable {
 }
 
 /// The page.
-#[must_use]
 pub fn render_tracking(input: &TrackingInput) -> String {
     let notes = if input.notes.is_empty() { String::new() } else { list(&input.notes) };
     simulated(

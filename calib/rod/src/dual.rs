@@ -42,7 +42,6 @@ pub struct Dual3(pub [f64; 4]);
 
 impl Dual3 {
     /// Independent variable number `index` (0..3).
-    #[must_use]
     pub fn variable(value: f64, index: usize) -> Self {
         let mut lanes = [value, 0.0, 0.0, 0.0];
         lanes[index + 1] = 1.0;
@@ -50,7 +49,6 @@ impl Dual3 {
     }
 
     /// Partial derivative number `index`.
-    #[must_use]
     pub fn partial(self, index: usize) -> f64 {
         self.0[index + 1]
     }

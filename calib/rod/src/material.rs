@@ -108,7 +108,6 @@ pub struct Section {
 
 impl Section {
     /// Round wire: `EI = E pi d^4 / 64`, `GJ = G pi d^4 / 32`.
-    #[must_use]
     pub fn round(diameter_mm: f64, youngs_gpa: f64, shear_gpa: f64) -> Self {
         let d4 = diameter_mm.powi(4);
         Self {
@@ -120,7 +119,6 @@ impl Section {
     }
 
     /// EI(s)/EI(0) at `fraction` = s/L.
-    #[must_use]
     pub fn taper_factor(&self, fraction: f64) -> f64 {
         if self.taper == 0.0 {
             return 1.0;

@@ -150,7 +150,6 @@ impl Shape {
     }
 
     /// The same wire with `by_mm` more beyond its tip, at the rest curvature of its last end: smooth functions of the wire go on there.
-    #[must_use]
     pub fn extended(&self, by_mm: f64) -> Self {
         let Some(last) = self.intervals.last().filter(|_| by_mm > 0.0) else { return self.clone() };
         let u = [0, 1, 2].map(|i| last.u_start[i] + last.u_slope[i] * last.length_mm);
@@ -169,7 +168,6 @@ impl Shape {
     }
 
     /// The same wire, turned about its root.
-    #[must_use]
     pub fn turned(&self, turn: &Rotation3<f64>) -> Self {
         let mut shape = self.clone();
         shape.root = turn.matrix() * self.root;
@@ -178,13 +176,11 @@ impl Shape {
     }
 
     /// Interval that holds arc length `s_mm` (the last one past the tip).
-    #[must_use]
     pub fn interval_at(&self, s_mm: f64) -> usize {
         self.intervals.partition_point(|i| i.start_mm <= s_mm).saturating_sub(1)
     }
 
     /// Point of the unloaded wire at arc length `s_mm`, by cubic Hermite interpolation between nodes.
-    #[must_use]
     pub fn rest_point(&self, s_mm: f64) -> Vector3<f64> {
         let j = self.interval_at(s_mm);
         let h = self.intervals[j].length_mm;
@@ -200,7 +196,6 @@ impl Shape {
 }
 
 /// The mesh from arc length `s_mm` on: the interval that holds it is cut there.
-#[must_use]
 pub fn from_arclength(shape: &Shape, s_mm: f64) -> Vec<Interval> {
     let first = shape.interval_at(s_mm);
     let mut rest: Vec<Interval> = shape.intervals[first..].to_vec();

@@ -49,7 +49,6 @@ const RANGES: &[Range] = &[
 ];
 
 /// The range of a column.
-#[must_use]
 pub fn column_range(name: &str) -> &'static Range {
     range_of(name, RANGES).unwrap_or(&ANY)
 }

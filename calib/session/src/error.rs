@@ -36,7 +36,6 @@ impl std::ops::Deref for InputError {
 
 impl InputError {
     /// An error of a whole file.
-    #[must_use]
     pub fn new(file: &str, expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self(Box::new(InputErrorFields {
             file: file.to_owned(),
@@ -49,27 +48,23 @@ impl InputError {
     }
 
     /// A number of a file that its key or column cannot have.
-    #[must_use]
     pub fn range(file: &str, error: OutOfRange) -> Self {
         Self::new(file, error.expected, error.found).field(error.key)
     }
 
     /// Adds the line (header = 1).
-    #[must_use]
     pub fn at(mut self, line: usize) -> Self {
         self.0.line = Some(line);
         self
     }
 
     /// Adds the column or key.
-    #[must_use]
     pub fn field(mut self, field: impl Into<String>) -> Self {
         self.0.field = Some(brief(&field.into()));
         self
     }
 
     /// Adds what to do about it.
-    #[must_use]
     pub fn hint(mut self, hint: impl Into<String>) -> Self {
         self.0.hint = Some(brief(&hint.into()));
         self

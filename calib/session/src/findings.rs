@@ -32,7 +32,6 @@ pub struct Finding {
 }
 
 /// Finds what deserves saying about a session that [`crate::load`] accepted.
-#[must_use]
 pub fn examine(session: &LoadedSession) -> Vec<Finding> {
     let mut list = Findings::default();
     let columns = match &session.data {

@@ -172,7 +172,6 @@ fn grouped(text: &str) -> bool {
 
 impl TextTable {
     /// What deserves attention: the file may have been cut off.
-    #[must_use]
     pub fn warning(&self) -> Option<SessionWarning> {
         let (line, _) = self.rows.last()?;
         self.open_end.then(|| SessionWarning::new(&self.file, WarningKind::OpenEnd { line: *line }))
@@ -204,7 +203,6 @@ impl TextTable {
     }
 
     /// Indices of the columns of one name.
-    #[must_use]
     pub fn columns_named(&self, name: &str) -> Vec<usize> {
         (0..self.columns.len()).filter(|&k| self.columns[k] == name).collect()
     }

@@ -121,7 +121,6 @@ impl SessionWarning {
     }
 
     /// Whether it says that a grating does not respond: what follows from its readings means nothing.
-    #[must_use]
     pub fn is_stuck(&self) -> bool {
         matches!(self.kind, WarningKind::Stuck { .. })
     }
@@ -135,7 +134,6 @@ impl SessionWarning {
     }
 
     /// Whether it says that time runs backwards.
-    #[must_use]
     pub fn is_clock_problem(&self) -> bool {
         matches!(self.kind, WarningKind::ClockProblem { .. })
     }

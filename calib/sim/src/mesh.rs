@@ -155,13 +155,11 @@ impl Mesh {
     }
 
     /// Triangles.
-    #[must_use]
     pub fn triangles(&self) -> &[[u32; 3]] {
         self.surface.indices()
     }
 
     /// SHA-256 of corners and triangles.
-    #[must_use]
     pub fn sha256(&self) -> String {
         let mut bytes = Vec::new();
         self.points().for_each(|p| p.iter().for_each(|x| bytes.extend(x.to_le_bytes())));
@@ -201,7 +199,6 @@ impl Mesh {
     }
 
     /// The surface near a point: exact distance, negative inside (of a closed mesh).
-    #[must_use]
     pub fn closest_point(&self, p: &Vector3<f64>, within_mm: f64) -> Option<ClosestPoint> {
         self.closest_point_from(p, within_mm, None)
     }

@@ -31,7 +31,6 @@ pub enum Medium {
 
 impl Medium {
     /// Name in the shards.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -151,7 +150,6 @@ impl Physics {
     }
 
     /// Onset of the softening, 1/m.
-    #[must_use]
     pub fn onset_per_m(&self) -> Option<f64> {
         self.softening.map(|law| match law {
             Softening::Section { onset_per_m, .. } | Softening::Bilinear { onset_per_m, .. } => onset_per_m,
@@ -171,7 +169,6 @@ pub struct FluidLoads {
 
 impl FluidLoads {
     /// None where there is no medium.
-    #[must_use]
     pub fn new(whisker: &WhiskerSpec, physics: &Physics) -> Option<Self> {
         let [density_kg_m3, viscosity_m2_s] = physics.medium.fluid()?;
         let diameter_m = whisker.diameter_mm * 1e-3;
@@ -190,7 +187,6 @@ impl FluidLoads {
     /// Drag across a wire along `tangent` that moves at `velocity_mm_s`, N/mm. That along the wire and the added mass are left out.
     ///
     /// Drag coefficient `1 + 10 Re^(-2/3)` of a cylinder across the flow (F. M. White, Viscous Fluid Flow, 1991).
-    #[must_use]
     pub fn drag_n_per_mm(&self, tangent: &Vector3<f64>, velocity_mm_s: &Vector3<f64>) -> Vector3<f64> {
         // Slender body: only the flow across the wire drags it.
         let past = (velocity_mm_s - self.current_mm_s) * 1e-3;
@@ -206,13 +202,11 @@ impl FluidLoads {
     }
 
     /// Weight and drag along a wire, N/mm.
-    #[must_use]
     pub fn load_n_per_mm(&self, tangent: &Vector3<f64>, velocity_mm_s: &Vector3<f64>) -> Vector3<f64> {
         self.weight_n_per_mm + self.drag_n_per_mm(tangent, velocity_mm_s)
     }
 
     /// Load along each link, N/mm; `base_mm_s` moves them all, their ends move at `nodes_mm_s` besides.
-    #[must_use]
     pub fn loads_n_per_mm(
         &self,
         links: &Configuration,

@@ -65,7 +65,6 @@ pub struct Run {
 
 impl Run {
     /// Without a sample.
-    #[must_use]
     pub fn rejected(why: &'static str) -> Self {
         Self { samples: Vec::new(), verdict: Verdict::Rejected(why), solves: 0, iterations: 0 }
     }
@@ -90,13 +89,11 @@ impl RodEngine {
     }
 
     /// How far the wire reaches along the straight part's direction, mm.
-    #[must_use]
     pub fn reach_mm(&self) -> f64 {
         self.rest.nodes_mm.iter().map(|p| p.x).fold(0.0, f64::max)
     }
 
     /// Runs a sweep to its end.
-    #[must_use]
     pub fn run(&self, mesh: &Mesh, sweep: &Sweep, plan: &SweepPlan) -> Run {
         let mut state = SweepState {
             rod: with_physics(&self.rod, &sweep.physics),
@@ -330,7 +327,6 @@ impl SweepState<'_> {
 }
 
 /// What happened between two samples; `snapped`: whether the wire jumped, `step_mm`: way of the base.
-#[must_use]
 pub fn event(before: &[Contact], after: &[Contact], snapped: bool, step_mm: f64) -> Event {
     match (before.first(), after.first()) {
         (None, Some(_)) => Event::Onset,

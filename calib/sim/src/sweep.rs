@@ -176,7 +176,6 @@ impl Sweep {
     /// Draws sweep `index` over an object: the same for the same object, seed and index.
     ///
     /// `None` where the plane misses the object within the wire's reach.
-    #[must_use]
     pub fn draw(mesh: &Mesh, plan: &SweepPlan, seed: u64, index: u64, reach_mm: f64) -> Option<Self> {
         let mut rng = generator(&mesh.name, "", seed, index);
         // Draws of its own: the physics leaves the sweep's way as it is.
@@ -222,7 +221,6 @@ impl Sweep {
     }
 
     /// Way of the base after a time, mm, and its speed, mm/s.
-    #[must_use]
     pub fn travel(&self, t_s: f64) -> (f64, f64) {
         let (mut way_mm, mut speed, mut rest_s) = (0.0, self.speed_mm_s, t_s);
         for a in &self.accelerations_mm_s2 {
@@ -270,7 +268,6 @@ const ROUNDING_MM: f64 = 1e-6;
 
 impl<'a> MovingObject<'a> {
     /// The object of a sweep after a way of the base, mm.
-    #[must_use]
     pub fn new(mesh: &'a Mesh, sweep: &'a Sweep, travel_mm: f64) -> Self {
         Self { mesh, sweep, travel_mm, last: Cell::new(None) }
     }
@@ -319,7 +316,6 @@ pub enum Event {
 
 impl Event {
     /// Name in the shards.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -364,7 +360,6 @@ pub enum Verdict {
 
 impl Verdict {
     /// "kept" or the reason.
-    #[must_use]
     pub fn name(&self) -> &'static str {
         match self {
             Self::Kept => "kept",

@@ -78,7 +78,6 @@ pub struct EffectModel {
 
 impl EffectModel {
     /// The same law that needs something of the session.
-    #[must_use]
     pub fn needing(mut self, needs: &[LawRequirement]) -> Self {
         self.needs = needs.to_vec();
         self
@@ -95,32 +94,27 @@ pub struct Values<'a> {
 
 impl<'a> Values<'a> {
     /// Values of `law`, which is number `index` of its effect, in the order of its parameters.
-    #[must_use]
     pub fn new(law: &'a EffectModel, index: usize, values: &'a [f64]) -> Self {
         Self { law, index, values }
     }
 
     /// Name of the law.
-    #[must_use]
     pub fn law(&self) -> &'static str {
         self.law.name
     }
 
     /// Number of the law among its effect's.
-    #[must_use]
     pub fn index(&self) -> usize {
         self.index
     }
 
     /// Value of a parameter; NaN where the law has none of that name, so that no design comes of it.
-    #[must_use]
     pub fn of(&self, name: &str) -> f64 {
         let at = self.law.parameters.iter().position(|p| p.name == name);
         at.and_then(|k| self.values.get(k)).copied().unwrap_or(f64::NAN)
     }
 
     /// All values in the order of the law's parameters.
-    #[must_use]
     pub fn all(&self) -> &'a [f64] {
         self.values
     }
@@ -213,14 +207,12 @@ pub struct TermKey {
 
 impl EffectTerm {
     /// Key of the first term of its kind.
-    #[must_use]
     pub fn key(&self, catalogue: &Catalogue) -> TermKey {
         let law = if catalogue[self.effect].acts_severally() { self.law } else { 0 };
         TermKey { effect: self.effect, law, instance: 0 }
     }
 
     /// Whether both can stand in one explanation: they stand for different things, or for two instances that differ in shape.
-    #[must_use]
     pub fn beside(&self, other: &Self, catalogue: &Catalogue) -> bool {
         if self.key(catalogue) != other.key(catalogue) {
             return true;
@@ -239,7 +231,6 @@ impl EffectTerm {
 }
 
 /// Keys of terms, ascending; instances numbered.
-#[must_use]
 pub fn keys(terms: &[EffectTerm], catalogue: &Catalogue) -> Vec<TermKey> {
     let mut out: Vec<TermKey> = Vec::new();
     for term in terms {
@@ -255,7 +246,6 @@ pub fn keys(terms: &[EffectTerm], catalogue: &Catalogue) -> Vec<TermKey> {
 const RESOLVED: f64 = 1.9;
 
 /// Distance from the grid point nearest to `value` to its neighbour: a law changes its shape over about that much.
-#[must_use]
 pub fn grid_gap(grid: &[f64], value: f64) -> f64 {
     let near = grid.iter().copied().min_by(|a, b| (a - value).abs().total_cmp(&(b - value).abs()));
     let gaps = grid.iter().filter_map(|g| near.map(|n| (g - n).abs())).filter(|d| *d > 0.0);

@@ -67,7 +67,6 @@ pub struct BayesFilter<'a> {
 
 impl<'a> BayesFilter<'a> {
     /// Without contact so far.
-    #[must_use]
     pub fn new(inverse: &'a StaticInverse, settings: BayesSettings) -> Self {
         Self {
             inverse,
@@ -83,13 +82,11 @@ impl<'a> BayesFilter<'a> {
     }
 
     /// Inverse solutions of the last sample, one a node.
-    #[must_use]
     pub fn solutions(&self) -> &[InverseSolution] {
         &self.now
     }
 
     /// Posterior over the nodes at the last sample; empty without contact.
-    #[must_use]
     pub fn posterior(&self) -> Vec<f64> {
         let nodes = self.inverse.nodes.len();
         let mut sum = vec![0.0; if self.weights.is_empty() { 0 } else { nodes }];
@@ -109,7 +106,6 @@ impl<'a> BayesFilter<'a> {
     }
 
     /// Mean velocity at each node: path of the contact along the curve by the base's travel; empty without contact.
-    #[must_use]
     pub fn velocities(&self) -> Vec<f64> {
         let nodes = if self.weights.is_empty() { 0 } else { self.inverse.nodes.len() };
         let mean = |k: usize| {
@@ -122,7 +118,6 @@ impl<'a> BayesFilter<'a> {
     }
 
     /// Posterior mean of the base's speed, mm/s; none without contact or where the speed is known.
-    #[must_use]
     pub fn speed_mm_s(&self) -> Option<f64> {
         if self.weights.len() <= self.settings.frictions().len() {
             return None;
@@ -135,7 +130,6 @@ impl<'a> BayesFilter<'a> {
 
     /// Logarithm of the predictive density of the last sample given those before, 1/(N mm)^2: low where one contact on a rigid body explains
     /// the change of the moments badly. 0 without contact and at a first contact.
-    #[must_use]
     pub fn log_evidence(&self) -> f64 {
         self.log_evidence
     }

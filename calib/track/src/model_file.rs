@@ -68,13 +68,11 @@ pub struct TrainedOn {
 
 impl TrainedOn {
     /// The filters below the network.
-    #[must_use]
     pub fn filters(&self) -> FilterBank {
         FilterBank { frictional: self.filter, frictionless: self.filter_frictionless }
     }
 
     /// Speeds of the base along its +z in training, mm/s: those of the sweeps, stretched in time.
-    #[must_use]
     pub fn speed_mm_s(&self) -> [f64; 2] {
         let ([low, high], [short, long]) = (self.filter.speed_mm_s, self.time_factor);
         [low / long, high / short]

@@ -25,13 +25,11 @@ pub struct SdFactors {
 
 impl SdFactors {
     /// One factor for all.
-    #[must_use]
     pub fn constant(factor: f64) -> Self {
         Self { at_mm: vec![1.0], factors: vec![factor] }
     }
 
     /// The factor at a spread, mm.
-    #[must_use]
     pub fn at(&self, stated_mm: f64) -> f64 {
         let above = self.at_mm.partition_point(|at| *at <= stated_mm);
         match (above.checked_sub(1), self.at_mm.get(above)) {

@@ -68,7 +68,6 @@ pub struct SegmentFinder {
 
 impl SegmentFinder {
     /// Of a whisker.
-    #[must_use]
     pub fn new(whisker: &str) -> Self {
         Self { whisker: whisker.to_owned(), ..Self::default() }
     }
@@ -135,7 +134,6 @@ impl SegmentFinder {
     }
 
     /// All segments; an open one ends with the recording.
-    #[must_use]
     pub fn all(&self) -> Vec<Segment> {
         self.done.iter().cloned().chain(self.open.iter().map(|o| o.0.clone())).collect()
     }

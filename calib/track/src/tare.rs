@@ -11,7 +11,6 @@ pub struct Tare {
 
 impl Tare {
     /// Over a time, s; 0: the moments stay as they are.
-    #[must_use]
     pub fn new(span_s: f64) -> Self {
         Self { span_s, begun_s: None, sum_nmm: [0.0; 2], count: 0.0 }
     }

@@ -60,13 +60,11 @@ impl Tracker {
     }
 
     /// A stream from its beginning.
-    #[must_use]
     pub fn stream(&self) -> TrackerStream<'_> {
         self.stream_with(self.filters)
     }
 
     /// A stream from its beginning with other filters (measurement noise).
-    #[must_use]
     pub fn stream_with(&self, filters: FilterBank) -> TrackerStream<'_> {
         TrackerStream {
             tracker: self,
@@ -77,13 +75,11 @@ impl Tracker {
     }
 
     /// All answers of a series, each from what came before it.
-    #[must_use]
     pub fn track_series(&self, samples: &[Sample]) -> Vec<Prediction> {
         self.track_series_with(self.filters, samples)
     }
 
     /// The same with other filters (measurement noise).
-    #[must_use]
     pub fn track_series_with(&self, filters: FilterBank, samples: &[Sample]) -> Vec<Prediction> {
         let mut stream = self.stream_with(filters);
         samples.iter().map(|sample| stream.push(sample)).collect()
@@ -186,7 +182,6 @@ impl TrackerStream<'_> {
 pub const SWEEP_STEP_S: f64 = 0.1;
 
 /// Shortest and longest time between samples that a network was trained with, s, from the factors of its training.
-#[must_use]
 pub fn trained_steps_s(time_factor: [f64; 2]) -> [f64; 2] {
     time_factor.map(|f| f * SWEEP_STEP_S)
 }

@@ -60,7 +60,6 @@ pub fn list_pictures(source: &str) -> Result<Vec<PathBuf>, VisionError> {
 
 /// `*` stands for any run of characters, `?` for one. A mismatch goes back to the latest `*` alone, which takes one character more: the time
 /// is that of pattern times name at most.
-#[must_use]
 pub fn matches_pattern(pattern: &[u8], name: &[u8]) -> bool {
     let (mut p, mut n) = (0, 0);
     // Places in pattern and name after the latest star and what it stands for.

@@ -64,7 +64,6 @@ impl Picture {
     }
 
     /// The picture halved (means of 2x2 pixels) until it is no wider than `width_px`.
-    #[must_use]
     pub fn reduced(&self, width_px: usize) -> Self {
         let mut small = self.clone();
         while small.width > width_px && small.height > 1 {
@@ -81,7 +80,6 @@ impl Picture {
     }
 
     /// Grey value of a pixel; the border is continued outwards.
-    #[must_use]
     pub fn at(&self, x: i64, y: i64) -> f64 {
         let x = x.clamp(0, self.width as i64 - 1) as usize;
         let y = y.clamp(0, self.height as i64 - 1) as usize;
@@ -89,7 +87,6 @@ impl Picture {
     }
 
     /// Bilinear grey value at a position, px.
-    #[must_use]
     pub fn sample(&self, x: f64, y: f64) -> f64 {
         let (x0, y0) = (x.floor(), y.floor());
         let (u, v) = (x - x0, y - y0);
@@ -99,7 +96,6 @@ impl Picture {
     }
 
     /// Whether a position lies at least `margin` px inside.
-    #[must_use]
     pub fn contains(&self, x: f64, y: f64, margin: f64) -> bool {
         x >= margin
             && y >= margin
@@ -108,7 +104,6 @@ impl Picture {
     }
 
     /// Fraction of pixels at 255 and mean grey value.
-    #[must_use]
     pub fn saturation(&self) -> (f64, f64) {
         let n = self.data.len() as f64;
         let (mut full, mut sum) = (0.0, 0.0);
@@ -121,7 +116,6 @@ impl Picture {
     }
 
     /// Why nothing can be measured in this picture, if so: all black, all white, without contrast.
-    #[must_use]
     pub fn unusable(&self) -> Option<String> {
         let (full, mean) = self.saturation();
         if full > 0.5 {
@@ -144,7 +138,6 @@ impl Picture {
     }
 
     /// SHA-256 of size and pixels; identical pictures have the same.
-    #[must_use]
     pub fn hash(&self) -> String {
         let mut bytes = format!("{}x{}:", self.width, self.height).into_bytes();
         bytes.extend_from_slice(&self.data);

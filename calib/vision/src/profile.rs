@@ -25,7 +25,6 @@ static TABLE: LazyLock<Vec<[f64; 4]>> = LazyLock::new(|| {
 
 /// The error function and its derivative at `x`; absolute errors below 2e-8 and 1e-5. A table with cubics between: this is
 /// the innermost loop of every fit to pixels.
-#[must_use]
 #[inline]
 pub fn erf_with_slope(x: f64) -> (f64, f64) {
     let a = x.abs();
@@ -43,7 +42,6 @@ pub fn erf_with_slope(x: f64) -> (f64, f64) {
 }
 
 /// A step from 0 to 1 at 0, blurred by a Gaussian of standard deviation `sd`, and its derivative by `x`.
-#[must_use]
 #[inline]
 pub fn blurred_step(x: f64, sd: f64) -> (f64, f64) {
     let scale = 1.0 / (sd * std::f64::consts::SQRT_2);

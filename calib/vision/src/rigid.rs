@@ -3,13 +3,11 @@
 use nalgebra::{Isometry3, Matrix3, Matrix4, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
 
 /// Cross-product matrix of a vector.
-#[must_use]
 pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
 }
 
 /// The pose after a local update: rotation `exp(w) R`, translation `t + d`, with `step` = (w, d).
-#[must_use]
 pub fn updated(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
     let mut rotation = turn * pose.rotation;
@@ -21,7 +19,6 @@ pub fn updated(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
 }
 
 /// A pose from a rotation matrix (made orthonormal) and a translation.
-#[must_use]
 pub fn pose_from_parts(rotation: &Matrix3<f64>, translation: &Vector3<f64>) -> Isometry3<f64> {
     // Singular values rather than an iteration: exact also for a half turn.
     let svd = rotation.svd(true, true);
@@ -43,14 +40,12 @@ pub fn pose_from_parts(rotation: &Matrix3<f64>, translation: &Vector3<f64>) -> I
 }
 
 /// Rows of the 4x4 matrix, for JSON.
-#[must_use]
 pub fn rows(pose: &Isometry3<f64>) -> [[f64; 4]; 4] {
     let m: Matrix4<f64> = pose.to_homogeneous();
     std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)]))
 }
 
 /// A pose from the rows of a 4x4 matrix; none where it is no rigid motion (to 1e-3).
-#[must_use]
 pub fn pose_from_rows(m: &[[f64; 4]; 4]) -> Option<Isometry3<f64>> {
     let r = Matrix3::from_fn(|i, j| m[i][j]);
     let rigid = (r * r.transpose() - Matrix3::identity()).norm() < 1e-3

@@ -17,13 +17,11 @@ pub struct StereoCameras {
 
 impl StereoCameras {
     /// Number of calibrated parameters: both cameras' and the relative pose.
-    #[must_use]
     pub fn parameters(&self) -> usize {
         2 * self.cameras[0].intrinsics() + 6
     }
 
     /// The cameras with one parameter moved.
-    #[must_use]
     pub(crate) fn moved(&self, k: usize, by: f64) -> Self {
         let mut s = self.clone();
         let n = s.cameras[0].intrinsics();

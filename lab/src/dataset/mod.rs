@@ -108,13 +108,11 @@ impl Total {
     }
 
     /// Sweeps kept.
-    #[must_use]
     pub fn kept(&self) -> u64 {
         self.verdicts.get("kept").copied().unwrap_or(0)
     }
 
     /// Sweeps a second and core of what was made now.
-    #[must_use]
     pub fn sweeps_per_core_s(&self) -> Option<f64> {
         (self.core_s > 0.0).then(|| self.made as f64 / self.core_s)
     }
@@ -154,7 +152,6 @@ impl Dataset {
     }
 
     /// Names of this share's shards, without endings.
-    #[must_use]
     pub fn shards(&self) -> Vec<String> {
         self.blocks().into_iter().map(|block| self.name(block)).collect()
     }
@@ -248,13 +245,11 @@ impl Dataset {
 }
 
 /// Processor time of this thread, s: what a sweep costs, whoever else computes on the machine.
-#[must_use]
 pub fn thread_s() -> f64 {
     cpu_s(rustix::time::ClockId::ThreadCPUTime)
 }
 
 /// Processor time of all threads of this program, s.
-#[must_use]
 pub fn process_s() -> f64 {
     cpu_s(rustix::time::ClockId::ProcessCPUTime)
 }

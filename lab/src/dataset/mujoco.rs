@@ -34,7 +34,6 @@ pub struct MujocoSweeps {
 
 impl MujocoSweeps {
     /// With a wire's model.
-    #[must_use]
     pub fn new(options: MjcfOptions) -> Self {
         Self { options, parts: Mutex::default() }
     }
@@ -102,7 +101,6 @@ impl SweepEngine for MujocoSweeps {
 }
 
 /// The convex parts that MuJoCo's sweeps in `folder` were made with, by object; those that are there.
-#[must_use]
 pub fn convex_parts(dataset: &Dataset, folder: &Path) -> BTreeMap<String, Convex> {
     let there = |mesh: &Mesh| Some((mesh.name.clone(), Convex::kept(mesh, &folder.join(CONVEX)).ok()??));
     dataset.objects.iter().filter_map(there).collect()

@@ -14,7 +14,6 @@ const BIN_MM_S: f64 = 1.0;
 const MAX_BINS: usize = 8;
 
 /// Edges of bins over a plan's speeds.
-#[must_use]
 pub fn speed_edges(plan: &SweepPlan) -> Vec<f64> {
     let [low, high] = plan.speed_mm_s;
     let bins = (((high - low) / BIN_MM_S).ceil() as usize).clamp(1, MAX_BINS);

@@ -74,7 +74,6 @@ pub struct Means {
 
 impl Means {
     /// Of the scores of both sets.
-    #[must_use]
     pub fn of(seen: &[ObjectScores], unseen: &[ObjectScores]) -> Self {
         let objects = seen.iter().map(|o| ObjectRow::of(o, "seen"));
         Self {
@@ -128,7 +127,6 @@ pub struct MethodRow {
 
 impl MethodRow {
     /// Means over the objects.
-    #[must_use]
     pub fn of(set: &'static str, method: &'static str, rows: &[ObjectScores]) -> Self {
         Self {
             set,
@@ -173,7 +171,6 @@ pub struct ObjectRow {
 
 impl ObjectRow {
     /// The row of an object's scores.
-    #[must_use]
     pub fn of(o: &ObjectScores, set: &'static str) -> Self {
         let interval = |of: ErrorOf| object_interval95(&o.sweeps, of);
         Self {
@@ -246,7 +243,6 @@ pub struct AblationRow {
 
 impl AblationRow {
     /// Means over the objects.
-    #[must_use]
     pub fn of(name: &str, rows: &[ObjectScores]) -> Self {
         Self {
             name: name.to_owned(),

@@ -122,7 +122,6 @@ impl VirtualBench {
     }
 
     /// Sweeps on this bench: friction, weight, and the medium's drag.
-    #[must_use]
     pub fn plan(medium: Medium) -> SweepPlan {
         let physics = PhysicsPlan { friction: [0.05, 0.25], medium, weight: true, ..PhysicsPlan::default() };
         SweepPlan { rate_hz: 10.0, physics, ..SweepPlan::default() }

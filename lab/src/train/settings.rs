@@ -84,7 +84,6 @@ impl Default for TrainSettings {
 
 impl TrainSettings {
     /// The filters below the network.
-    #[must_use]
     pub fn filters(&self) -> FilterBank {
         FilterBank { frictional: self.filter, frictionless: self.filter_frictionless }
     }
@@ -117,7 +116,6 @@ pub struct Pass {
 }
 
 /// The pass with the least loss on the held-out objects.
-#[must_use]
 pub fn best(passes: &[Pass]) -> Option<&Pass> {
     passes.iter().min_by(|a, b| a.held_out_loss.total_cmp(&b.held_out_loss))
 }

@@ -202,7 +202,6 @@ impl Wire {
     }
 
     /// Marches from the root to arc length `sigma_mm` under force `force` at `point`; returns position and tangent.
-    #[must_use]
     pub fn march(&self, point: &V3, force: &V3, sigma_mm: f64, refine: usize) -> (V3, V3) {
         let base = point.cross(force);
         let root = V3::new(0.0, self.root_compliance[0] * base.y, self.root_compliance[1] * base.z);

@@ -37,13 +37,11 @@ impl Default for Drivers {
 
 impl Drivers {
     /// Devices whose waits end when the user wants an end.
-    #[must_use]
     pub fn new(interrupt: &Interrupt) -> Self {
         Self::over(Rc::new(connect), interrupt)
     }
 
     /// As [`Self::new`], with links of the caller's for the ports of stage and mount.
-    #[must_use]
     pub fn over(connect: Connect, interrupt: &Interrupt) -> Self {
         Self { chain: None, line: None, connect, interrupt: interrupt.clone() }
     }

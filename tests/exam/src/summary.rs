@@ -30,7 +30,6 @@ pub struct Goal {
 
 impl Goal {
     /// Whether there is a goal, and data that do not decide it.
-    #[must_use]
     pub fn open(&self) -> bool {
         self.met.is_none() && self.goal != "-" && self.counts.1 > 0
     }

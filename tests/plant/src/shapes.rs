@@ -56,7 +56,6 @@ impl Default for Cameras {
 
 impl Cameras {
     /// As usual, with a statement of their own noise that is too small, right, or too large, by the session's seed.
-    #[must_use]
     pub fn of_session(seed: u64) -> Self {
         const STATED: [f64; 4] = [0.85, 1.0, 1.3, 1.7];
         Self { stated: STATED[(seed % 4) as usize], ..Self::default() }

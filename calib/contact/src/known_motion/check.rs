@@ -36,19 +36,16 @@ pub struct Innovations {
 
 impl Innovations {
     /// Of an episode that no state explains.
-    #[must_use]
     pub fn unexplained(rows: usize) -> Self {
         Self { plain: f64::INFINITY, robust: f64::INFINITY, dof: 2.0 * rows as f64, outlier: 0, rows }
     }
 
     /// Whether the innovations are consistent, a few outliers allowed.
-    #[must_use]
     pub fn consistent(&self) -> bool {
         !too_large(self.robust, self.dof) && self.outlier <= (self.rows / MAX_GROSS).max(1)
     }
 
     /// What speaks against motion and moments, for people; none where they are consistent.
-    #[must_use]
     pub fn sentence(&self) -> Option<String> {
         let of = || format!("{DISAGREEMENT} (chi2 {:.0} for {:.0} degrees of freedom)", self.plain, self.dof);
         (!self.consistent()).then(of)

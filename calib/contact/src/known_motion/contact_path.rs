@@ -55,7 +55,6 @@ pub(crate) fn loaded(row: &MotionRow) -> bool {
 
 impl<'a> ContactPath<'a> {
     /// None where no reading is loaded, or the motion has no direction.
-    #[must_use]
     pub fn new(field: &'a MomentField, episode: &'a Episode) -> Option<Self> {
         let rows = &episode.rows[..];
         let first = rows.iter().position(loaded)?;
@@ -129,7 +128,6 @@ impl<'a> ContactPath<'a> {
     }
 
     /// Place of the object's point at a reading, mm.
-    #[must_use]
     pub fn place(&self, state: &State, row: usize) -> Option<Vector3<f64>> {
         let (touch, _) = self.touch(state)?;
         Some(self.carried(&(touch - self.push * state.onset_mm), row))
@@ -142,7 +140,6 @@ impl<'a> ContactPath<'a> {
     }
 
     /// State of an episode whose point is at `place_mm` at a reading: the inverse of [`Self::place`], near an arc length where it is given.
-    #[must_use]
     pub fn state_of(&self, place_mm: &Vector3<f64>, row: usize, near_mm: Option<f64>) -> Option<State> {
         // The line of the push through the point at the reference reading.
         let (turn, displacement) = &self.motions[row];
@@ -179,7 +176,6 @@ impl<'a> ContactPath<'a> {
     }
 
     /// Moments of every reading; none where a state has no equilibrium there.
-    #[must_use]
     pub fn moments(&self, state: &State) -> Option<Vec<[f64; 2]>> {
         let (touch, _) = self.touch(state)?;
         let origin = touch - self.push * state.onset_mm;

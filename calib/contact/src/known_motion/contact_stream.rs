@@ -92,7 +92,6 @@ pub struct ContactStream {
 
 impl ContactStream {
     /// Past a wire. Where readings must not wait for the rod, its table is filled before ([`MomentField::fill`]).
-    #[must_use]
     pub fn new(field: Arc<MomentField>, settings: Settings) -> Self {
         Self {
             field,

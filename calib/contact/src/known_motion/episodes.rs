@@ -49,7 +49,6 @@ fn returns(field: &MomentField, rows: &[MotionRow], from: usize, run: &Run, next
 
 /// Ranges (first, one past the last) of the readings of each contact; `pieces` is incremented where the motion jumped. `contact_segment` of the rows is
 /// set to the contact's run.
-#[must_use]
 pub fn episodes(field: &MomentField, rows: &mut [MotionRow], pieces: &[u32]) -> Vec<[usize; 2]> {
     let runs = runs(rows, pieces);
     for (n, run) in runs.iter().enumerate() {

@@ -115,7 +115,6 @@ fn key_of(place_mm: &Vector3<f64>) -> Key {
 
 impl MomentField {
     /// Of a rod with its accepted effects; moments are those of contact, less the moment of the free wire's weight.
-    #[must_use]
     pub fn new(rod: &Rod, axes: &MomentAxes, friction: Friction) -> Self {
         // A heavy extension would change the sag of the wire itself.
         let beyond_mm = if rod.weight_n_per_mm.norm() > 0.0 { 0.0 } else { BEYOND_MM };
@@ -141,26 +140,22 @@ impl MomentField {
     }
 
     /// With the fields of the wire that has each of the readings' first common unknowns one standard deviation higher.
-    #[must_use]
     pub fn with_changed(mut self, changed: Vec<Self>) -> Self {
         self.changed = changed;
         self
     }
 
     /// Length of the wire, mm.
-    #[must_use]
     pub fn length_mm(&self) -> f64 {
         self.length_mm
     }
 
     /// Friction along the wire.
-    #[must_use]
     pub fn friction(&self) -> Friction {
         self.friction
     }
 
     /// Free wire at an arc length (mm): place and tangent.
-    #[must_use]
     pub fn free(&self, s_mm: f64) -> (Vector3<f64>, Vector3<f64>) {
         const STEP_MM: f64 = 0.05;
         let at = |s: f64| self.rod.shape.rest_point(s.clamp(0.0, self.rod.shape.length_mm));
@@ -170,7 +165,6 @@ impl MomentField {
 
     /// Moments and contact at a place (mm) under a ratio of tangential to normal force; none where no equilibrium is known or the contact
     /// lies beyond the tip.
-    #[must_use]
     pub fn held(&self, place_mm: &Vector3<f64>, ratio: f64) -> Option<ContactMoments> {
         self.at_place(place_mm)?.held(ratio)
     }
@@ -191,7 +185,6 @@ impl MomentField {
     }
 
     /// [`Self::held`] with the derivative of the moments by the place, N mm/mm: that of the interpolating polynomial.
-    #[must_use]
     pub fn held_and_rate(
         &self,
         place_mm: &Vector3<f64>,

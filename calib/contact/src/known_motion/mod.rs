@@ -208,7 +208,6 @@ fn without_first(
 
 impl EpisodeEstimate {
     /// Whether there is evidence against motion, map or rod.
-    #[must_use]
     pub fn disagrees(&self) -> bool {
         !self.innovations.consistent()
     }

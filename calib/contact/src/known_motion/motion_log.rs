@@ -68,7 +68,6 @@ pub enum MotionUnknown {
 
 impl MotionUnknown {
     /// Name as in track.json.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Outside => "outside",
@@ -125,7 +124,6 @@ impl MotionLog {
     }
 
     /// First and last time, s.
-    #[must_use]
     pub fn span_s(&self) -> [f64; 2] {
         [self.rows[0].t_s, self.rows[self.rows.len() - 1].t_s]
     }

@@ -67,7 +67,6 @@ impl Posterior {
     }
 
     /// Density at a state, 1/mm^3.
-    #[must_use]
     pub fn density(&self, state: &State) -> f64 {
         let at = self.nodes.partition_point(|n| n.state.s_mm <= state.s_mm);
         let (Some(a), Some(b)) =
@@ -90,13 +89,11 @@ impl Posterior {
     }
 
     /// Whether a state lies in the 95 % region of highest density.
-    #[must_use]
     pub fn holds(&self, state: &State) -> bool {
         self.density(state) >= self.threshold
     }
 
     /// The 95 % region along the wire: one piece for each peak.
-    #[must_use]
     pub fn regions(&self) -> Vec<Region> {
         let mut pieces: Vec<Region> = Vec::new();
         let mut open = false;

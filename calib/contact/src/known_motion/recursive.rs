@@ -179,7 +179,6 @@ pub(super) fn run(
 
 impl RecursivePosterior {
     /// From the first loaded reading and the free ones before it (`lead`, in order of time); none where the push runs along the whole wire.
-    #[must_use]
     pub fn start(
         field: &MomentField,
         settings: Settings,
@@ -285,7 +284,6 @@ impl RecursivePosterior {
     }
 
     /// Where the wire is held at a reading that was taken, and the posterior.
-    #[must_use]
     pub fn place(&self, field: &MomentField, row: &MotionRow) -> (EpisodeContact, Posterior) {
         let posterior = self.posterior();
         let motion = motion_since(&self.reference, row);
@@ -295,7 +293,6 @@ impl RecursivePosterior {
     }
 
     /// The posterior over arc length, onset and gap.
-    #[must_use]
     pub fn posterior(&self) -> Posterior {
         let node = |n: &NodeFilter| {
             let (state, covariance_mm2) = n.state();
@@ -305,7 +302,6 @@ impl RecursivePosterior {
     }
 
     /// Innovations so far, at the node of highest density.
-    #[must_use]
     pub fn innovations(&self) -> Innovations {
         let rows = self.readings;
         let dof = (2.0 * rows as f64 - 3.0).max(1.0);
@@ -319,13 +315,11 @@ impl RecursivePosterior {
     }
 
     /// Unit vector of the push.
-    #[must_use]
     pub fn push_direction(&self) -> Vector3<f64> {
         self.push
     }
 
     /// Displacement of a reading from the first loaded one along the push, mm; under rotation that of the wire's middle.
-    #[must_use]
     pub fn along_mm(&self, field: &MomentField, row: &MotionRow) -> f64 {
         let here = middle(field, &motion_since(&self.reference, row));
         (here - field.free(0.5 * field.length_mm()).0).dot(&self.push)

@@ -109,7 +109,6 @@ pub struct SlidingContact {
 
 impl SlidingContact {
     /// Whether the motion is the object's.
-    #[must_use]
     pub fn supported(&self) -> bool {
         self.predicted >= MIN_BLOCKS
             && self.evidence > self.reversed_evidence
@@ -117,7 +116,6 @@ impl SlidingContact {
     }
 
     /// Whether the stated regions are those of the fit alone: it leaves no more than noise, and nothing speaks against the motion.
-    #[must_use]
     pub fn sure(&self) -> bool {
         self.predicted >= MIN_BLOCKS
             && self.whole
@@ -172,7 +170,6 @@ struct Hypothesis {
 
 /// Tracks a contact over the readings of one episode. Leaps of the moments are slips where that makes the answer sure: each part has a start of
 /// its own, which only moments that are right can find; else one surface from first touch to release tells more.
-#[must_use]
 pub fn locate_sliding(wire: &TouchedWire, rows: &[MotionRow]) -> SlidingContact {
     let Some([first, last]) = touching(rows) else { return SlidingContact::nothing(rows.len()) };
     let held = &rows[first..=last];

@@ -49,7 +49,6 @@ pub struct SlidingStream {
 
 impl SlidingStream {
     /// With the readings so far.
-    #[must_use]
     pub fn new(wire: TouchedWire, rows: &[MotionRow]) -> Self {
         let (means, open) = (Vec::new(), Vec::new());
         let mut all = Self { wire, means, open, solved: 0, search_at: FIRST_SEARCH, paths: Vec::new() };
@@ -95,7 +94,6 @@ impl SlidingStream {
     }
 
     /// Whether some path explains the readings so far.
-    #[must_use]
     pub fn explains(&self) -> bool {
         let best = self.paths.iter().map(|p| p.hypothesis.cost).fold(f64::INFINITY, f64::min);
         self.solved >= MIN_BLOCKS && best <= super::MAX_COST * self.solved as f64

@@ -63,14 +63,12 @@ impl Axis {
     }
 
     /// Replaces the round ticks by named ones.
-    #[must_use]
     pub fn with_ticks(mut self, ticks: Vec<(f64, String)>) -> Self {
         self.ticks = Some(ticks);
         self
     }
 
     /// Position along the axis, 0 at the lower end and 1 at the upper; `None` outside or not finite.
-    #[must_use]
     pub fn position(&self, value: f64) -> Option<f64> {
         let share = match self.scale {
             Scale::Linear => (value - self.low) / (self.high - self.low),
@@ -80,13 +78,11 @@ impl Axis {
     }
 
     /// The nearest value that lies on the axis; NaN stays NaN.
-    #[must_use]
     pub fn clamp(&self, value: f64) -> f64 {
         if value.is_nan() { value } else { value.clamp(self.low, self.high) }
     }
 
     /// Ticks with their texts, about `wanted` of them, and the label, which carries a common power of ten.
-    #[must_use]
     pub fn ticks(&self, wanted: usize) -> (Vec<(f64, String)>, String) {
         if let Some(ticks) = &self.ticks {
             return (ticks.clone(), self.label.clone());

@@ -85,7 +85,6 @@ pub struct Plot {
 
 impl Plot {
     /// The chart as an `<svg>` element.
-    #[must_use]
     pub fn svg(&self) -> String {
         draw::plot(self)
     }
@@ -112,7 +111,6 @@ fn text_width(text: &str) -> f64 {
 }
 
 /// Every how many of `count` items to draw so that no more than `most` are drawn.
-#[must_use]
 pub fn stride(count: usize, most: usize) -> usize {
     count.div_ceil(most.max(1)).max(1)
 }

@@ -93,7 +93,6 @@ impl RowItem {
 
 impl RowChart {
     /// The chart as an `<svg>` element.
-    #[must_use]
     pub fn svg(&self) -> String {
         let top = if self.rules.is_empty() { 28.0 } else { 42.0 };
         let bottom = top + self.rows.iter().map(RowItem::height).sum::<f64>();

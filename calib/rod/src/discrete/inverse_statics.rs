@@ -33,7 +33,6 @@ pub struct PointLoad {
 impl DiscreteRod {
     /// Contact place, force and root moment in the base frame for a force (N), given in the frame of the link that it acts on, at an arc
     /// length (mm).
-    #[must_use]
     pub fn under_point_load(&self, arclength_mm: f64, force_n: &Vector3<f64>) -> PointLoad {
         let last = ((arclength_mm / self.link_mm).max(0.0) as usize).min(self.links() - 1);
         // In the frame of the link that is pushed, from its inner end.

@@ -102,13 +102,11 @@ impl DiscreteRod {
     }
 
     /// Number of links.
-    #[must_use]
     pub fn links(&self) -> usize {
         self.joints.len()
     }
 
     /// Rest turn (rad, frame of the link beyond) and stiffness (N mm/rad) of every joint, the clamp's first.
-    #[must_use]
     pub fn joints(&self) -> Vec<(Vector3<f64>, Vector3<f64>)> {
         (0..self.links()).map(|j| self.joint_law(j)).collect()
     }
@@ -124,7 +122,6 @@ impl DiscreteRod {
     }
 
     /// The stress-free wire.
-    #[must_use]
     pub fn at_rest(&self) -> Configuration {
         let mut frame = self.clamp;
         let frames = self
@@ -150,7 +147,6 @@ impl DiscreteRod {
     }
 
     /// The links turned by spatial rotation vectors (rad).
-    #[must_use]
     pub(crate) fn rotated(&self, links: &Configuration, by: &[Vector3<f64>]) -> Configuration {
         let turn = |(frame, phi): (&Matrix3<f64>, &Vector3<f64>)| {
             orthonormal(Rotation3::from_scaled_axis(*phi).matrix() * frame)
@@ -164,7 +160,6 @@ impl DiscreteRod {
     }
 
     /// Largest change of curvature from rest, 1/mm.
-    #[must_use]
     pub fn largest_bend_per_mm(&self, links: &Configuration) -> f64 {
         let bend = |j: usize| {
             let Joint { rest, span_mm, .. } = self.joints[j];

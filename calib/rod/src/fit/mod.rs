@@ -99,7 +99,6 @@ pub struct RestFit {
 
 impl RestFit {
     /// Standard deviation of an unknown.
-    #[must_use]
     pub fn sd(&self, index: usize) -> Option<f64> {
         self.covariance.as_ref().map(|c| c[(index, index)].sqrt())
     }

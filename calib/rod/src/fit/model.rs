@@ -26,7 +26,6 @@ pub enum RestModel {
 
 impl RestModel {
     /// Name in the results.
-    #[must_use]
     pub fn name(self) -> String {
         match self {
             Self::StraightArc => "straight-arc".to_owned(),
@@ -43,7 +42,6 @@ impl RestModel {
     }
 
     /// Names and units of the unknowns, in order.
-    #[must_use]
     pub fn names(self) -> Vec<String> {
         let owned = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
         let root =
@@ -62,7 +60,6 @@ impl RestModel {
     }
 
     /// Steps for derivatives.
-    #[must_use]
     pub fn difference_steps(self) -> Vec<f64> {
         let kind = |name: &String| match name {
             n if n.starts_with("bend") => DIFFERENCE_STEPS[1],
@@ -79,7 +76,6 @@ impl RestModel {
     }
 
     /// Places of the free curvatures, mm.
-    #[must_use]
     pub fn places_mm(self, v: &DVector<f64>) -> Vec<f64> {
         match self {
             Self::StraightArc => Vec::new(),
@@ -115,7 +111,6 @@ impl RestModel {
     }
 
     /// Turn of the clamp in the base frame, and its offset, mm.
-    #[must_use]
     pub fn root(self, v: &DVector<f64>) -> (Rotation3<f64>, Vector3<f64>) {
         let root: Vec<f64> = v.iter().skip(self.shape_unknowns()).copied().collect();
         let (turns, offsets) = root.split_at(root.len() - 2);

@@ -27,7 +27,6 @@ const MAX_ITERATIONS: usize = 10;
 
 impl Rod {
     /// Keeps the Jacobian at `equilibrium`; none where it is singular or where the wire's weight acts (solved by other means).
-    #[must_use]
     pub fn anchor(&self, equilibrium: &Equilibrium) -> Option<Anchor> {
         if self.weight_n_per_mm.norm() > 0.0 {
             return None;
@@ -47,7 +46,6 @@ impl Rod {
     /// Frictionless equilibrium at `point_mm` next to `anchor`, which may belong to a slightly different wire or point.
     ///
     /// None where the iteration does not contract well: the equilibrium is then not safely on the anchor's branch.
-    #[must_use]
     pub fn solve_near(&self, point_mm: &Vector3<f64>, anchor: &Anchor) -> Option<Equilibrium> {
         let known = &anchor.equilibrium;
         let (mut force, mut s) = (known.force_n, known.arclength_mm);

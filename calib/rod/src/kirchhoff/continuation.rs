@@ -19,7 +19,6 @@ pub struct Line {
 
 impl Line {
     /// Groove point at stage position `x_mm`.
-    #[must_use]
     pub fn point(&self, x_mm: f64) -> Vector3<f64> {
         self.origin_mm + self.direction * x_mm
     }
@@ -46,7 +45,6 @@ pub enum Outcome {
 
 impl Outcome {
     /// The equilibrium, if the wire is held.
-    #[must_use]
     pub fn equilibrium(&self) -> Option<&Equilibrium> {
         match self {
             Self::Held(e) => Some(e),
@@ -92,7 +90,6 @@ impl Rod {
     ///
     /// A bent wire can be met twice: of the local minima of the gap that the groove's mouth would catch, the earliest counts.
     /// Where the travel ends before the wire, the closest point stands in.
-    #[must_use]
     pub fn first_touch(&self, line: &Line, back_mm: f64, reach_mm: f64) -> Touch {
         let samples = (self.shape.length_mm / TOUCH_GRID_MM).ceil() as usize;
         let grid_mm = self.shape.length_mm / samples as f64;
@@ -120,7 +117,6 @@ impl Rod {
     }
 
     /// Frictionless branch at the stage positions `xs_mm` (any order); positions before first touch are `NotTouched`.
-    #[must_use]
     pub fn follow(&self, line: &Line, xs_mm: &[f64]) -> Vec<Outcome> {
         let far = xs_mm.iter().copied().fold(0.0, f64::max);
         let near = xs_mm.iter().copied().fold(0.0, f64::min);
@@ -149,7 +145,6 @@ pub struct BranchTracker<'a> {
 
 impl<'a> BranchTracker<'a> {
     /// Starts at first touch: from the unloaded wire straight to the line, then along it.
-    #[must_use]
     pub fn start(rod: &'a Rod, line: &Line, touch: &Touch) -> Option<Self> {
         let wire = rod.shape.rest_point(touch.arclength_mm);
         let target = line.point(touch.x_mm);
@@ -173,13 +168,11 @@ impl<'a> BranchTracker<'a> {
     }
 
     /// The last equilibrium on the branch: where it ended, once it has.
-    #[must_use]
     pub fn last_held(&self) -> &Equilibrium {
         &self.last.1
     }
 
     /// Smallest eigenvalue of the second variation at the last equilibrium, N: near zero where the branch ended in a snap.
-    #[must_use]
     pub fn smallest_eigenvalue(&self) -> f64 {
         self.rod.smallest_eigenvalue(self.last_held())
     }

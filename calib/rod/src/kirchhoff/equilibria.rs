@@ -24,7 +24,6 @@ const SAME_SHARE: f64 = 1e-4;
 
 impl Rod {
     /// The equilibria in a frictionless groove at `point_mm`, by the contact's arc length.
-    #[must_use]
     pub fn equilibria(&self, point_mm: &Vector3<f64>) -> Vec<StableEquilibrium> {
         let length_mm = self.shape.length_mm;
         // The wire reaches the place at the earliest by a straight line.

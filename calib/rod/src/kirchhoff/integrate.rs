@@ -92,7 +92,6 @@ pub struct MomentTable {
 
 impl MomentTable {
     /// Moment at arc length `s_mm`.
-    #[must_use]
     pub fn at(&self, s_mm: f64) -> Vector3<f64> {
         let last = self.moments_nmm.len() - 1;
         let x = (s_mm / self.step_mm).clamp(0.0, last as f64);
@@ -177,7 +176,6 @@ pub fn to_arclength<T: Scalar>(
 }
 
 /// Nodes and frames of the unloaded wire.
-#[must_use]
 pub fn unloaded(shape: &Shape) -> (Vec<Vector3<f64>>, Vec<Matrix3<f64>>) {
     let stiff = Section { ei_nmm2: 1.0, gj_nmm2: 1.0, taper: 0.0, softening: None };
     let load = Load { point: [0.0; 3], force: [0.0; 3], distributed: None };
@@ -191,13 +189,11 @@ pub fn unloaded(shape: &Shape) -> (Vec<Vector3<f64>>, Vec<Matrix3<f64>>) {
 }
 
 /// nalgebra to row arrays.
-#[must_use]
 pub fn rows_of(m: &Matrix3<f64>) -> M3<f64> {
     [0, 1, 2].map(|i| [0, 1, 2].map(|j| m[(i, j)]))
 }
 
 /// Row arrays to nalgebra.
-#[must_use]
 pub fn matrix_of(m: &M3<f64>) -> Matrix3<f64> {
     Matrix3::from_fn(|i, j| m[i][j])
 }

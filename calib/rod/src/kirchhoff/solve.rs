@@ -26,7 +26,6 @@ pub const WORKING_STEP_MM: f64 = 2.0;
 /// ```text
 /// p(s) = p_j (2x^3 - 3x^2 + 1) + h t_j (x^3 - 2x^2 + x) + p_j+1 (3x^2 - 2x^3) + h t_j+1 (x^3 - x^2)
 /// ```
-#[must_use]
 pub fn interpolated_point(nodes: &[(f64, Vector3<f64>, Matrix3<f64>)], s_mm: f64) -> Vector3<f64> {
     let j = nodes.partition_point(|n| n.0 <= s_mm).clamp(1, nodes.len() - 1);
     let (a, b) = (&nodes[j - 1], &nodes[j]);
@@ -132,7 +131,6 @@ impl Rod {
     }
 
     /// Adds weight less buoyancy: `(rho_wire - rho_fluid) A g`.
-    #[must_use]
     pub fn with_weight(mut self, spec: &WhiskerSpec, fluid_kg_m3: f64) -> Self {
         const GRAVITY_M_S2: f64 = 9.806_65;
         if let (Some(direction), Some(density)) = (spec.gravity_direction, spec.density_kg_m3) {
@@ -143,7 +141,6 @@ impl Rod {
     }
 
     /// The same rod with its weight, turned about its root; none where its clamp yields, which is given about the axes of the base.
-    #[must_use]
     pub fn turned(&self, turn: &Rotation3<f64>) -> Option<Self> {
         let shape = self.shape.turned(turn);
         let weight_n_per_mm = turn * self.weight_n_per_mm;
@@ -151,7 +148,6 @@ impl Rod {
     }
 
     /// The same rod with `by_mm` more wire beyond the tip ([`Shape::extended`]); its taper goes on as it is.
-    #[must_use]
     pub fn extended(&self, by_mm: f64) -> Self {
         let mut rod = self.clone();
         rod.shape = self.shape.extended(by_mm);
@@ -322,7 +318,6 @@ impl Rod {
     }
 
     /// Nodes of the loaded wire from root to tip: (arc length, position, frame).
-    #[must_use]
     pub fn loaded_shape(&self, equilibrium: &Equilibrium) -> Vec<(f64, Vector3<f64>, Matrix3<f64>)> {
         let guess = Guess::from(equilibrium);
         let table = self.settled_weight(&equilibrium.point_mm, &guess);
@@ -400,7 +395,6 @@ impl Rod {
     }
 
     /// Base moment of the free wire's weight, N mm.
-    #[must_use]
     pub fn rest_moment_nmm(&self) -> Vector3<f64> {
         if self.weight_n_per_mm.norm() == 0.0 {
             return Vector3::zeros();
@@ -414,7 +408,6 @@ impl Rod {
     }
 
     /// Frame of the root once the base has given way under `moment_nmm`.
-    #[must_use]
     pub fn root_frame(&self, moment_nmm: &Vector3<f64>) -> Matrix3<f64> {
         let turn = moment_nmm.component_mul(&self.compliance_axes) * self.compliance_rad_per_nmm;
         Rotation3::new(turn).matrix() * self.shape.root

@@ -36,13 +36,11 @@ struct Node {
 impl Rod {
     /// Smallest eigenvalue (N: energy in N mm per rad^2 mm) of the second variation, the contact free to slide along the wire.
     /// Positive at a stable equilibrium. The root's compliance enters to first order in its turn; the free end's weight is rigid.
-    #[must_use]
     pub fn smallest_eigenvalue(&self, equilibrium: &Equilibrium) -> f64 {
         self.smallest_eigenvalue_as(equilibrium, Hold::Sliding)
     }
 
     /// [`Self::smallest_eigenvalue`] for a contact that slides or sticks.
-    #[must_use]
     pub fn smallest_eigenvalue_as(&self, equilibrium: &Equilibrium, hold: Hold) -> f64 {
         let elements = self.elements(equilibrium);
         let count = 3 * (2 * elements.len() + 1);

@@ -31,7 +31,6 @@ fn within(part: &Basis, whole: &Basis) -> DMatrix<f64> {
 }
 
 /// Chance, were `rival` true, that it falls at least as far behind `best` as it does; `variance` is the best one's.
-#[must_use]
 pub fn cox_test(best: &Hypothesis, rival: &Hypothesis, variance: f64, draws: usize, seed: u64) -> f64 {
     if !(variance > 0.0) || draws == 0 {
         return 1.0;
@@ -69,7 +68,6 @@ const REFITTED: usize = 7;
 
 /// Chance of each explanation of `level`, the first being `best`, to fall as far behind were it true; what fits better from the best one's values
 /// takes its own place.
-#[must_use]
 pub fn compared(
     system: &dyn MeasurementModel,
     best: &Hypothesis,
@@ -107,7 +105,6 @@ fn from_shared_values(
 }
 
 /// Chance that readings of noncentrality `lambda` (in variances) between two explanations reject the wrong one, the other true.
-#[must_use]
 pub fn power(lambda: f64) -> f64 {
     use statrs::distribution::{ContinuousCDF, Normal};
     if lambda <= 0.0 {

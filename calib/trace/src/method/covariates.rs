@@ -153,7 +153,6 @@ fn waves(unit: &[f64]) -> impl Iterator<Item = f64> {
 }
 
 /// Generic signatures of every covariate of `system`, projected off `nuisance`.
-#[must_use]
 pub fn signatures_of_covariates(
     system: &dyn MeasurementModel,
     fit: &Fit,

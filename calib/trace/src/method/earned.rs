@@ -71,7 +71,6 @@ fn gain(system: &dyn MeasurementModel, with: &Fit, without: &Fit) -> Option<(f64
 }
 
 /// The effects of `h` that earn their names, and those that do not.
-#[must_use]
 pub fn earned(system: &dyn MeasurementModel, h: &Hypothesis) -> (Hypothesis, Vec<usize>) {
     let (mut kept, mut within) = (h.clone(), Vec::new());
     while !kept.fit.terms.is_empty() {

@@ -49,7 +49,6 @@ const MAX_LEAD: f64 = 300.0;
 
 /// Noise of an explanation's residuals for predictions of further readings: a correlated part is taken up where it predicts better (Akaike), not
 /// only where a verdict could rest on it.
-#[must_use]
 pub fn noise_for_predictions(system: &dyn MeasurementModel, h: &Hypothesis, seed: u64) -> Option<Noise> {
     let judge = NoiseEstimator { noise_terms: NoiseTerms::SUSPECTED, ..NoiseEstimator::new(system, seed) };
     Some(judge.noise(h, &[])?.0)
@@ -65,13 +64,11 @@ pub struct NoiseEstimator<'a> {
 
 impl<'a> NoiseEstimator<'a> {
     /// For a session.
-    #[must_use]
     pub fn new(system: &'a dyn MeasurementModel, seed: u64) -> Self {
         Self { system, inputs: system.noise_inputs(), noise_terms: NoiseTerms::ALL, seed }
     }
 
     /// Noise of the residuals of `h`, with further columns where there are some, and how well the model can do under any noise.
-    #[must_use]
     pub fn noise(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<(Noise, Misfit)> {
         let model = MeanModel::of(&h.fit).with(columns);
         let noise = estimate(&model, &self.inputs, &h.weights, self.noise_terms, self.seed)?;

@@ -69,37 +69,31 @@ pub struct Fit {
 
 impl Fit {
     /// Residual variance.
-    #[must_use]
     pub fn variance(&self) -> f64 {
         self.ssr / self.dof.max(1.0)
     }
 
     /// Degrees of freedom of the readings, where the second witness takes none of the parameters.
-    #[must_use]
     pub fn readings_dof(&self) -> f64 {
         self.dof - self.witness_count as f64
     }
 
     /// Residual variance of the readings alone.
-    #[must_use]
     pub fn readings_variance(&self) -> f64 {
         self.residual.norm_squared() / self.readings_dof().max(1.0)
     }
 
     /// The whole whitened residual: readings channel by channel, then the second witness.
-    #[must_use]
     pub fn stacked(&self) -> DVector<f64> {
         stack_with(&self.residual, &self.auxiliary_residual)
     }
 
     /// Tangents in the same order.
-    #[must_use]
     pub fn stacked_tangents(&self) -> Vec<DVector<f64>> {
         self.tangents.iter().zip(&self.witness_tangents).map(|(t, w)| stack_with(t, w)).collect()
     }
 
     /// A column of the readings in channel `channel`, zero elsewhere, in the same order.
-    #[must_use]
     pub fn in_channel(&self, column: &[f64], channel: usize) -> DVector<f64> {
         let mut v = DVector::zeros(self.residual.len() + self.auxiliary_residual.len());
         v.rows_mut(channel * column.len(), column.len()).copy_from_slice(column);
@@ -107,7 +101,6 @@ impl Fit {
     }
 
     /// Everything of reading `i` by itself, one direction a value.
-    #[must_use]
     pub fn directions_of(&self, i: usize) -> Vec<DVector<f64>> {
         let (n, size) = (self.residual.nrows(), self.residual.len());
         let own = (0..self.residual.ncols()).map(|c| c * n + i);

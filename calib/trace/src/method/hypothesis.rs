@@ -36,7 +36,6 @@ const PRICE_A_FLAG: f64 = 2.0;
 
 impl Hypothesis {
     /// Indices of its effects, ascending; outliers included.
-    #[must_use]
     pub fn effects(&self, outliers: Option<usize>) -> Vec<usize> {
         let mut ids: Vec<usize> = self.fit.terms.iter().map(|t| t.effect).collect();
         if let (Some(o), false) = (outliers, self.flagged.is_empty()) {
@@ -48,7 +47,6 @@ impl Hypothesis {
     }
 
     /// What its terms stand for, ascending, and the outliers where readings are flagged: explanations of one key are one.
-    #[must_use]
     pub fn key(&self, system: &dyn MeasurementModel, outliers: Option<usize>) -> Vec<TermKey> {
         let mut key = keys(&self.fit.terms, system.catalogue());
         if let (Some(effect), false) = (outliers, self.flagged.is_empty()) {
@@ -59,7 +57,6 @@ impl Hypothesis {
     }
 
     /// Parameters that the explanation spends beyond the declared model.
-    #[must_use]
     pub fn parameters(&self, base: &Fit) -> f64 {
         let columns = (self.fit.design.ncols() - base.design.ncols()) * self.fit.residual.ncols();
         let values: usize = self.fit.terms.iter().map(|t| t.values.len()).sum();
@@ -67,7 +64,6 @@ impl Hypothesis {
     }
 
     /// Misfit in units of `variance` plus twice the parameters (Akaike); smaller is better.
-    #[must_use]
     pub fn criterion(&self, base: &Fit, variance: f64) -> f64 {
         let n = self.fit.residual.nrows() as f64;
         let channels = self.fit.residual.ncols() as f64;
@@ -77,7 +73,6 @@ impl Hypothesis {
     }
 
     /// Every parameter lies inside its physical range, every amplitude is there, and no two terms stand for the same.
-    #[must_use]
     pub fn physical(&self, system: &dyn MeasurementModel) -> bool {
         let mut slot = 0;
         for t in &self.fit.terms {
@@ -105,7 +100,6 @@ impl Hypothesis {
     }
 
     /// Whether it may be accepted: physical, and its sum of squares no longer falls.
-    #[must_use]
     pub fn acceptable(&self, system: &dyn MeasurementModel) -> bool {
         self.fit.status != Status::NotConverged && self.physical(system)
     }
@@ -139,7 +133,6 @@ pub struct Evidence {
 
 impl Evidence {
     /// The data do not reject it.
-    #[must_use]
     pub fn survives(&self) -> bool {
         self.p_value >= AMBIGUITY_LEVEL
     }
@@ -173,7 +166,6 @@ pub struct SearchResult {
 
 impl SearchResult {
     /// The omnibus test that says what is left, where something is: on the declared model where a generic driver beats the catalogue.
-    #[must_use]
     pub fn left(&self) -> Option<&OmnibusTest> {
         if self.covariate_beats_catalogue {
             Some(&self.first_test)
@@ -183,13 +175,11 @@ impl SearchResult {
     }
 
     /// The explanation that predictions use: the best one, but for where a generic driver explains more than the catalogue does.
-    #[must_use]
     pub fn accepted(&self) -> &Hypothesis {
         if self.covariate_beats_catalogue { &self.base } else { &self.best }
     }
 
     /// Something was found or is left: heavier tails would be a reason to look again.
-    #[must_use]
     pub fn is_inadequate(&self) -> bool {
         self.left().is_some() || !self.best.fit.terms.is_empty() || !self.best.flagged.is_empty()
     }

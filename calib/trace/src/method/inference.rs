@@ -11,7 +11,6 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use wcal_core::verify_document::EffectParameter;
 
 /// Joint covariance: coefficients channel by channel, then nonlinear values in term order.
-#[must_use]
 pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
     let (n, q, c) = (fit.design.nrows(), fit.design.ncols(), fit.residual.ncols());
     let m = fit.tangents.len();
@@ -37,7 +36,6 @@ pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
 const NORMAL_95: f64 = 1.96;
 
 /// Quantile of Student's t for a two-sided 95 % interval.
-#[must_use]
 pub fn t95(dof: f64) -> f64 {
     // Past a million degrees of freedom it is the normal distribution's to 2e-6, and the search for it takes minutes.
     const NORMAL: f64 = 1.959_963_984_540_054;
@@ -49,7 +47,6 @@ pub fn t95(dof: f64) -> f64 {
 }
 
 /// Parameters of one effect of an explanation with 95 % intervals.
-#[must_use]
 pub fn parameters(system: &dyn MeasurementModel, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
     let fit = &h.fit;
     let covariance = covariance(fit, fit.variance());
@@ -108,7 +105,6 @@ pub fn parameters(system: &dyn MeasurementModel, h: &Hypothesis, effect: usize) 
 pub const CLASS_COSINE: f64 = 0.995;
 
 /// What an explanation takes out of the declared model's residual.
-#[must_use]
 pub fn explained(base: &Hypothesis, h: &Hypothesis) -> DVector<f64> {
     let mut v = base.fit.stacked() - h.fit.stacked();
     // Flagged readings count as explained whole in both, so that they do not dominate the angle.
@@ -119,7 +115,6 @@ pub fn explained(base: &Hypothesis, h: &Hypothesis) -> DVector<f64> {
 }
 
 /// Cosine between what two explanations explain.
-#[must_use]
 pub fn cosine(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
     let size = a.norm() * b.norm();
     if size > 0.0 { a.dot(b) / size } else { 0.0 }
@@ -127,7 +122,6 @@ pub fn cosine(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
 
 /// Cosine between what two explanations explain of their own, without sign; 1 where neither has anything of its own. What both share (effects in
 /// common, whatever both leave unexplained) is projected off first: a large common effect makes any two look alike.
-#[must_use]
 pub fn likeness(system: &dyn MeasurementModel, base: &Hypothesis, best: &Hypothesis, h: &Hypothesis) -> f64 {
     let whole = explained(base, best);
     let common = common_effects(system, base, best, h);
@@ -137,7 +131,6 @@ pub fn likeness(system: &dyn MeasurementModel, base: &Hypothesis, best: &Hypothe
 }
 
 /// For every survivor: is it of the best one's class?
-#[must_use]
 pub fn in_class(system: &dyn MeasurementModel, found: &SearchResult) -> Vec<bool> {
     let like = |h| likeness(system, &found.base, &found.best, h);
     found.survivors.iter().map(|h| like(h) > CLASS_COSINE).collect()
@@ -149,7 +142,6 @@ const MEASURED_BEHIND: f64 = 20.0;
 
 /// Whether `h`, which is `behind` the best explanation in the criterion, is not distinguished from it because one of them follows a temperature: that is
 /// measured itself, and the comparison takes columns for exact. Over minutes a room that warms steadily is as good as a clock.
-#[must_use]
 pub fn not_told(
     system: &dyn MeasurementModel,
     base: &Hypothesis,

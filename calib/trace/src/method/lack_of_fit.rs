@@ -25,7 +25,6 @@ pub struct LackOfFit {
 
 /// Splits the misfit of a model with `parameters` free values. `keys` groups replicates; rows with weight 0 do not count.
 /// None where nothing was repeated, or nothing is left to test.
-#[must_use]
 pub fn lack_of_fit(residual: &[f64], keys: &[u64], weights: &[f64], parameters: usize) -> Option<LackOfFit> {
     let mut rows: Vec<usize> = (0..residual.len()).filter(|&i| weights[i] > 0.0).collect();
     rows.sort_by_key(|&i| keys[i]);

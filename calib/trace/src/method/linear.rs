@@ -13,13 +13,11 @@ const NEW_SHARE: f64 = 1e-6;
 
 impl Basis {
     /// Number of directions.
-    #[must_use]
     pub fn rank(&self) -> usize {
         self.vectors.len()
     }
 
     /// `v` less its part in the basis.
-    #[must_use]
     pub fn project_off(&self, v: &DVector<f64>) -> DVector<f64> {
         let mut out = v.clone();
         for _ in 0..2 {
@@ -48,20 +46,17 @@ impl Basis {
     }
 
     /// Coordinates of `v` in the basis.
-    #[must_use]
     pub fn coordinates(&self, v: &DVector<f64>) -> DVector<f64> {
         DVector::from_iterator(self.rank(), self.vectors.iter().map(|q| q.dot(v)))
     }
 
     /// The basis vectors.
-    #[must_use]
     pub fn vectors(&self) -> &[DVector<f64>] {
         &self.vectors
     }
 }
 
 /// `a' b` as one blocked product: nalgebra's `tr_mul` goes column by column.
-#[must_use]
 pub fn transposed_product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
     a.transpose() * b
 }
@@ -80,7 +75,6 @@ const NEW_SQUARE: f64 = 1e-10;
 
 impl JointSpan {
     /// Span of directions of unit length, up to `limit` of them independent.
-    #[must_use]
     pub fn of<'a>(directions: impl Iterator<Item = &'a DVector<f64>>, limit: usize) -> Self {
         let columns: Vec<&DVector<f64>> = directions.collect();
         let size = columns.first().map_or(0, |c| c.len());
@@ -115,25 +109,21 @@ impl JointSpan {
     }
 
     /// Independent directions.
-    #[must_use]
     pub fn rank(&self) -> usize {
         self.independent.len()
     }
 
     /// Length of a direction.
-    #[must_use]
     pub fn size(&self) -> usize {
         self.directions.nrows()
     }
 
     /// What vectors of the span, columns of `coordinates`, have along every direction.
-    #[must_use]
     pub fn along(&self, coordinates: &DMatrix<f64>) -> DMatrix<f64> {
         transposed_product(&self.factor, coordinates)
     }
 
     /// Coordinates of the parts of `vectors` in the span.
-    #[must_use]
     pub fn coordinates(&self, vectors: &DMatrix<f64>) -> DMatrix<f64> {
         let along = transposed_product(&self.directions, vectors).select_rows(&self.independent);
         let triangle = self.factor.select_columns(&self.independent);
@@ -142,13 +132,11 @@ impl JointSpan {
 }
 
 /// Stacks the columns of readings x channels into one vector.
-#[must_use]
 pub fn stack(m: &DMatrix<f64>) -> DVector<f64> {
     DVector::from_column_slice(m.as_slice())
 }
 
 /// Values of the readings, stacked, with those of the second witness below.
-#[must_use]
 pub fn stack_with(readings: &DMatrix<f64>, auxiliary_residual: &DVector<f64>) -> DVector<f64> {
     let (n, m) = (readings.len(), auxiliary_residual.len());
     let mut v = DVector::zeros(n + m);
@@ -158,7 +146,6 @@ pub fn stack_with(readings: &DMatrix<f64>, auxiliary_residual: &DVector<f64>) ->
 }
 
 /// `column` in channel `channel` of `channels`, zero in the others.
-#[must_use]
 pub fn in_channel(column: &[f64], channel: usize, channels: usize) -> DVector<f64> {
     let n = column.len();
     let mut v = DVector::zeros(n * channels);

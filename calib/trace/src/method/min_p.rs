@@ -12,7 +12,6 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 const BATCH: usize = 250;
 
 /// p-value of a fall `gain` of the sum of squares `ssr` (with `dof` degrees of freedom) for `d` more.
-#[must_use]
 pub fn f_test(gain: f64, ssr: f64, dof: f64, d: usize) -> f64 {
     let d = d as f64;
     let left = dof - d;
@@ -27,7 +26,6 @@ pub fn f_test(gain: f64, ssr: f64, dof: f64, d: usize) -> f64 {
 }
 
 /// p-value of an signature on a residual; one-sided laws use half the F tail.
-#[must_use]
 pub fn signature_p(signature: &Signature, gain: f64, ssr: f64, dof: f64) -> f64 {
     let p = f_test(gain, ssr, dof, signature.dimension());
     if signature.one_sided { 0.5 * p } else { p }
@@ -42,7 +40,6 @@ pub struct MinPDistribution {
 
 impl MinPDistribution {
     /// Simulates `draws` null residuals for `signatures`; only their coordinates in the joint span and the norm of the rest matter.
-    #[must_use]
     pub fn simulate(signatures: &[&Signature], dof: f64, options: &Options) -> Self {
         let limit = (dof - 2.0).max(0.0) as usize;
         let span = JointSpan::of(signatures.iter().flat_map(|a| &a.directions), limit);
@@ -110,14 +107,12 @@ impl MinPDistribution {
     }
 
     /// Single p-value that the family's smallest undercuts with probability `level` under the null.
-    #[must_use]
     pub fn critical(&self, level: f64) -> f64 {
         let k = ((level * self.minima.len() as f64) as usize).min(self.minima.len().saturating_sub(1));
         self.minima.get(k).copied().unwrap_or(level).min(level)
     }
 
     /// Family-wise p-value of a smallest single p; past the draws' resolution by the effective number of tests.
-    #[must_use]
     pub fn adjusted(&self, p: f64) -> f64 {
         let draws = self.minima.len();
         if draws == 0 {

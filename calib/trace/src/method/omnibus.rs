@@ -73,13 +73,11 @@ const MODEL_CORRELATION: f64 = 0.1;
 
 impl OmnibusTest {
     /// Something beyond noise is left.
-    #[must_use]
     pub fn rejected(&self) -> bool {
         !self.within_model_error && (self.p_catalogue < CATALOGUE_LEVEL || self.generic())
     }
 
     /// Something is left that need not be in the catalogue.
-    #[must_use]
     pub fn generic(&self) -> bool {
         !self.within_model_error && (self.p_covariates < COVARIATE_LEVEL || self.p_serial < SERIAL_LEVEL)
     }
@@ -94,7 +92,6 @@ impl OmnibusTest {
     }
 
     /// Whether everything that `fit` leaves is a small part of its misfit.
-    #[must_use]
     pub fn is_small(&self, fit: &Fit) -> bool {
         let residual = fit.stacked();
         let catalogue = self.signatures.iter().map(|s| s.gain(&residual)).fold(0.0, f64::max);
@@ -103,13 +100,11 @@ impl OmnibusTest {
     }
 
     /// Family-wise p-values: catalogue, generic signatures, serial correlation.
-    #[must_use]
     pub fn p_values(&self) -> [f64; 3] {
         [self.p_catalogue, self.p_covariates, self.p_serial]
     }
 
     /// One omnibus p-value: Bonferroni over the families by their shares of the level; `p_lack_of_fit` where readings repeat.
-    #[must_use]
     pub fn p_value(&self, p_lack_of_fit: Option<f64>) -> f64 {
         [
             (self.p_catalogue, CATALOGUE_LEVEL),
@@ -204,7 +199,6 @@ fn generic(
 }
 
 /// Runs the omnibus test on a fitted model.
-#[must_use]
 pub fn omnibus_test(
     system: &dyn MeasurementModel,
     fit: &Fit,

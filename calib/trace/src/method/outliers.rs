@@ -35,7 +35,6 @@ const ROUNDS: usize = 6;
 
 /// Residuals in standard deviations of their own, readings x channels: a reading that counts by its whitened residual over the share that
 /// the fit leaves, one that does not by its prediction.
-#[must_use]
 pub fn standardised(fit: &Fit, weights: &Weights) -> DMatrix<f64> {
     let (n, channels) = fit.residual.shape();
     let s = fit.variance().sqrt().max(1e-300);
@@ -152,7 +151,6 @@ const GROSS: f64 = 20.0;
 const LARGE: f64 = 5.0;
 
 /// Readings that stand so far out of the declared model that its first fit must not see them.
-#[must_use]
 pub fn initial_outliers(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> Vec<usize> {
     let Some(raw) = system.design(&[]) else { return Vec::new() };
     let rows: Vec<usize> = (0..weights.len()).filter(|&i| weights.counts(i)).collect();

@@ -13,7 +13,6 @@ use nalgebra::{DMatrix, DVector};
 const LEVEL: f64 = 0.01;
 
 /// Whether every law with a largest share keeps to it, or would explain as well if held there.
-#[must_use]
 pub fn range_check(system: &dyn MeasurementModel, fit: &Fit) -> bool {
     let laws: Vec<_> = fit.terms.iter().map(|t| system.catalogue()[t.effect].law(t.law).clone()).collect();
     let own: usize = laws.iter().map(|l| l.linear.len()).sum();

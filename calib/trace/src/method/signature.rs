@@ -25,7 +25,6 @@ pub struct Signature {
 }
 
 /// The nuisance space of a fit: its design in each channel and its tangents.
-#[must_use]
 pub fn nuisance(fit: &Fit) -> Basis {
     let mut basis = Basis::default();
     let channels = fit.residual.ncols();
@@ -121,7 +120,6 @@ pub fn signatures_of_effect(
 const ABSORBED_SHARE: f64 = 2e-3;
 
 /// Projects raw signatures; none where nothing of them is left.
-#[must_use]
 pub fn build(
     term: EffectTerm,
     amplitudes: Vec<(usize, f64)>,
@@ -151,13 +149,11 @@ pub fn build(
 
 impl Signature {
     /// Degrees of freedom.
-    #[must_use]
     pub fn dimension(&self) -> usize {
         self.directions.len()
     }
 
     /// Fall of the sum of squares if the signature is added to a residual; 0 where the sign is unphysical.
-    #[must_use]
     pub fn gain(&self, residual: &DVector<f64>) -> f64 {
         if self.one_sided && self.projected[0].dot(residual) <= 0.0 {
             return 0.0;
@@ -166,7 +162,6 @@ impl Signature {
     }
 
     /// Start values for a refit: amplitudes by least squares on the projected signatures.
-    #[must_use]
     pub fn start(&self, residual: &DVector<f64>, law: &EffectModel) -> EffectTerm {
         let mut term = self.term.clone();
         let m = self.amplitudes.len();
@@ -191,7 +186,6 @@ impl Signature {
 }
 
 /// Signatures of every observable effect that is not yet in the fit, or can act once more beside itself.
-#[must_use]
 pub fn signatures_of_catalogue(
     system: &dyn MeasurementModel,
     fit: &Fit,

@@ -18,7 +18,6 @@ pub struct Subset {
 const OF_A_KEY: usize = 2;
 
 /// The sets of `size` terms with the largest merit, best first, at most `keep`. One-sided amplitudes of the wrong sign are left out.
-#[must_use]
 pub fn best_subsets(
     catalogue: &Catalogue,
     signatures: &[Signature],
@@ -92,7 +91,6 @@ pub fn best_subsets(
 
 impl Subset {
     /// What its terms stand for.
-    #[must_use]
     pub fn key(&self, catalogue: &Catalogue, signatures: &[Signature]) -> Vec<TermKey> {
         let terms: Vec<EffectTerm> = self.signatures.iter().map(|&i| signatures[i].term.clone()).collect();
         keys(&terms, catalogue)

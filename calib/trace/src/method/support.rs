@@ -58,7 +58,6 @@ impl Deletion {
 }
 
 /// The first of `sets` without which a term is no longer supported: `with` it and `without` it fitted on all readings.
-#[must_use]
 pub fn rests_on(with: &Fit, without: &Fit, sets: &[Vec<usize>]) -> Option<usize> {
     let (rich, plain) = (Deletion::of(with), Deletion::of(without));
     let values = with.dof + rich.basis.rank() as f64;

@@ -33,7 +33,6 @@ pub enum Fault {
 
 impl Fault {
     /// In a sentence; `unit` of the error.
-    #[must_use]
     pub fn sentence(&self, unit: &str) -> String {
         let with = |v: f64| format!("{} {unit}", readable(v)).trim_end().to_owned();
         match self {
@@ -52,14 +51,12 @@ impl Fault {
 }
 
 /// Three decimals, or an exponent where these would hide the number.
-#[must_use]
 pub fn readable(value: f64) -> String {
     if (0.01..1e6).contains(&value.abs()) { format!("{value:.3}") } else { format!("{value:.3e}") }
 }
 
 /// What speaks against the accepted model; none where nothing does. `errors` count without single readings that do not belong;
 /// `rise_shown`: a rise of the error would be beyond chance.
-#[must_use]
 pub fn fault<M: SessionModel>(
     model: &M,
     accepted: &Hypothesis,
@@ -97,7 +94,6 @@ pub fn fault<M: SessionModel>(
 }
 
 /// Whether a verdict claims that a model holds.
-#[must_use]
 pub fn claims(conclusion: &Conclusion, on_request: bool) -> bool {
     match conclusion.verdict {
         Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,

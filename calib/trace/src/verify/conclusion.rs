@@ -32,7 +32,6 @@ pub struct Conclusion {
 
 impl Conclusion {
     /// Nothing but rounding is left: structure in it means nothing.
-    #[must_use]
     pub fn exact(base: &Hypothesis) -> Self {
         Self {
             verdict: Verdict::Adequate,
@@ -254,7 +253,6 @@ fn unknown_reason(unknown: Option<&UnknownEffect>, beyond: &[NamedEffect]) -> St
 }
 
 /// Applies the order of docs/src/formats.md: ambiguous, unknown-effect, effect, twin-fault, adequate.
-#[must_use]
 pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[TwinFault]) -> Conclusion {
     // What a generic driver explains better than the catalogue does is named after no effect.
     let covariate_wins = found.covariate_beats_catalogue;

@@ -30,7 +30,6 @@ struct DetectableSize {
 }
 
 /// One row an effect. `test` is the omnibus test on `fit`.
-#[must_use]
 pub fn table<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest) -> Vec<Detectable> {
     (0..model.catalogue().len()).map(|effect| row(model, fit, test, effect)).collect()
 }

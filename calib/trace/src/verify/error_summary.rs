@@ -9,7 +9,6 @@ use wcal_core::verify_document::HeldOutError;
 const DRAWS: usize = 1000;
 
 /// Root mean square of quantity `q` over rows; NaN without any.
-#[must_use]
 pub fn rmse<'a>(rows: impl IntoIterator<Item = &'a HeldOut>, q: usize) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for value in rows.into_iter().flat_map(|r| &r.errors[q]) {
@@ -32,7 +31,6 @@ fn groups(rows: &[HeldOut]) -> Vec<Vec<&HeldOut>> {
 }
 
 /// Errors of `rows` with 95 % percentile intervals over resampled groups.
-#[must_use]
 pub fn summarise(rows: &[HeldOut], quantities: &[Quantity], split: &str, seed: u64) -> Option<HeldOutError> {
     if rows.is_empty() {
         return None;
@@ -68,7 +66,6 @@ pub fn summarise(rows: &[HeldOut], quantities: &[Quantity], split: &str, seed: u
 }
 
 /// Share of values inside their stated 95 % intervals.
-#[must_use]
 pub fn coverage95(rows: &[HeldOut]) -> Option<f64> {
     let count: usize = rows.iter().map(|r| r.inside95.len()).sum();
     let hits = rows.iter().flat_map(|r| &r.inside95).filter(|inside| **inside).count();

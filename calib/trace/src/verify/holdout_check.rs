@@ -22,7 +22,6 @@ fn residual<M: SessionModel>(whole: &M, h: &Hypothesis) -> Option<DMatrix<f64>> 
 }
 
 /// Unsealed readings that no tails of the noise explain, as in the fit: single slips are no misfit.
-#[must_use]
 pub fn flagged<M: SessionModel>(whole: &M, h: &Hypothesis, noise: &Noise) -> Vec<usize> {
     let rows: Vec<usize> = (0..whole.scored().len()).filter(|&i| whole.scored()[i]).collect();
     let Some(left) = residual(whole, h).filter(|_| noise.repeat.value > 0.0) else { return Vec::new() };
@@ -47,7 +46,6 @@ fn noise_scale(tails: &Tails) -> f64 {
 
 /// p-value of the held-out residuals under the accepted model and the upper ends of its noise's parts, parameter covariance included
 /// (prediction F test; Seber & Lee, "Linear Regression Analysis", 2nd ed., ch. 5). `left_out` are single readings that do not belong.
-#[must_use]
 pub fn holdout_p<M: SessionModel>(
     whole: &M,
     accepted: &Hypothesis,

@@ -10,7 +10,6 @@ use crate::method::noise::Noise;
 use wcal_core::verify_document::EffectAblation;
 
 /// What the fit and the held-out readings lose without each accepted effect, the others refitted.
-#[must_use]
 pub fn left_out<M: SessionModel>(
     model: &M,
     whole: &M,

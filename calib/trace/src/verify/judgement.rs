@@ -22,7 +22,6 @@ pub struct JudgedReading {
 }
 
 /// The judgement over readings; none without any.
-#[must_use]
 pub fn judge(readings: &[JudgedReading], quantities: &[Quantity], seed: u64) -> Option<CalibrationJudgement> {
     let rows: Vec<HeldOut> = readings.iter().map(|r| r.held_out.clone()).collect();
     let error = summarise(&rows, quantities, "holdout", seed)?;

@@ -13,7 +13,6 @@ fn rounded_sd(step: f64) -> f64 {
 }
 
 /// The parts, `session` from several sessions; what the design cannot tell is absent.
-#[must_use]
 pub fn noise_document(noise: &Noise, session: Option<Estimated>, unit: &str) -> NoiseDocument {
     let step = noise.step.iter().flatten().copied().fold(0.0, f64::max);
     let rounding =
@@ -41,7 +40,6 @@ pub fn noise_document(noise: &Noise, session: Option<Estimated>, unit: &str) -> 
 }
 
 /// The noise in one or two plain sentences; none where there is nothing to say beyond its size.
-#[must_use]
 pub fn noise_sentences(noise: &NoiseDocument) -> Vec<String> {
     let unit = &noise.unit;
     let mut out = Vec::new();

@@ -22,7 +22,6 @@ const REFUTES: f64 = 2.33;
 const BEYOND_GROUPS: f64 = 2.0;
 
 /// Whether readings with standard deviations `sd` are so much worse under `after` that it cannot be right.
-#[must_use]
 pub fn refuted(before: &[HeldOut], after: &[HeldOut], sd: &[f64]) -> bool {
     let (mut gain, mut change) = (0.0, 0.0);
     let mut rises: BTreeMap<u32, f64> = BTreeMap::new();

@@ -13,7 +13,6 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// `h` without the terms that are none: beside the others each has to pass the level at which the search names. The least supported one
 /// first; itself where all are.
-#[must_use]
 pub fn supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Hypothesis {
     let mut kept = h.clone();
     while let Some(without) = least_supported(model, found, &kept) {

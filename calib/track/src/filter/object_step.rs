@@ -15,13 +15,11 @@ pub struct ObjectStep {
 
 impl ObjectStep {
     /// Of an object at rest past which the base travels along its +z, mm.
-    #[must_use]
     pub fn past_base(travel_mm: f64) -> Self {
         Self { turn: Rotation3::identity(), moved_mm: Vector3::z() * -travel_mm, sd_mm: 0.0 }
     }
 
     /// This step and then another; independent errors add.
-    #[must_use]
     pub fn followed_by(&self, next: &Self) -> Self {
         Self {
             turn: next.turn * self.turn,
@@ -31,7 +29,6 @@ impl ObjectStep {
     }
 
     /// Displacement of the object's point that is at `point_mm`, mm.
-    #[must_use]
     pub fn displacement_mm(&self, point_mm: &Vector3<f64>) -> Vector3<f64> {
         self.turn * point_mm + self.moved_mm - point_mm
     }

@@ -128,7 +128,6 @@ pub const FILTER_RANGES: &[Range] = &[
 impl BayesSettings {
     /// For objects with friction: three coefficients as hypotheses, and larger uncertainties of constraint and moments, which friction along
     /// the wire disturbs. The default is a wire that slides without friction.
-    #[must_use]
     pub fn multi_mu() -> Self {
         Self {
             noise_nmm: 0.0007,
@@ -142,7 +141,6 @@ impl BayesSettings {
     }
 
     /// Coulomb friction, for a bank with a frictionless filter (`FilterBank`): objects without friction are left to that one.
-    #[must_use]
     pub fn coulomb() -> Self {
         Self { friction: [0.1, 0.25, 0.25], ..Self::multi_mu() }
     }
@@ -154,7 +152,6 @@ impl BayesSettings {
     }
 
     /// The same for moments with this white noise, and with a zero offset of this size, N mm.
-    #[must_use]
     pub fn with_measurement_noise(self, noise_nmm: f64, zero_nmm: f64) -> Self {
         Self {
             noise_nmm: self.noise_nmm.max(noise_nmm),
@@ -217,7 +214,6 @@ pub struct FilterBank {
 
 impl FilterBank {
     /// Both for moments with this white noise, and with a zero offset of this size, N mm.
-    #[must_use]
     pub fn with_measurement_noise(self, noise_nmm: f64, zero_nmm: f64) -> Self {
         let informed = |s: BayesSettings| s.with_measurement_noise(noise_nmm, zero_nmm);
         Self { frictional: informed(self.frictional), frictionless: self.frictionless.map(informed) }

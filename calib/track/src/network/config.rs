@@ -55,7 +55,6 @@ const MAX_PARAMETERS: usize = 20_000_000;
 
 impl NetworkConfig {
     /// The paper's network (six layers, eight heads, width 128, 512, encoder 64, dropout 0.1).
-    #[must_use]
     pub fn paper(inputs: usize) -> Self {
         Self {
             inputs,
@@ -72,7 +71,6 @@ impl NetworkConfig {
     }
 
     /// A network on a curve of `nodes` knots, by one filter or two: 101 thousand parameters on 33 knots with two.
-    #[must_use]
     pub fn compact(inputs: usize, nodes: usize, two_filters: bool) -> Self {
         Self {
             inputs,
@@ -127,7 +125,6 @@ impl NetworkConfig {
 
     /// Numbers that come out for a token: logarithms of factors at the knots, a place (or what is off it), contact, several contacts, and
     /// with knots the doubt in the filter, and with two of them the logarithm of the odds of the second.
-    #[must_use]
     pub fn outputs(&self) -> usize {
         let with_knots = if self.nodes > 0 { 1 + usize::from(self.two_filters) } else { 0 };
         self.nodes + 3 + 2 + with_knots

@@ -37,14 +37,12 @@ const KNOT_STRIDE: usize = 4;
 pub const INITIAL_LOG_FLOOR: f32 = -4.0;
 
 /// Nodes of the curve at which the network's knots lie: every fourth, and the last.
-#[must_use]
 pub fn knots(nodes: usize) -> Vec<usize> {
     let last = nodes.saturating_sub(1);
     (0..last).step_by(KNOT_STRIDE).chain([last]).collect()
 }
 
 /// For each node the knot at or before it and the share of the next one.
-#[must_use]
 pub fn knot_weights(nodes: usize) -> Vec<(usize, f32)> {
     let knots = knots(nodes);
     let one = |node: usize| {
@@ -86,7 +84,6 @@ pub struct FeatureExtractor<'a> {
 
 impl<'a> FeatureExtractor<'a> {
     /// At the beginning of a recording.
-    #[must_use]
     pub fn new(inverse: &'a StaticInverse, filters: FilterBank) -> Self {
         let nodes = inverse.nodes.len();
         let filter = |settings| BayesFilter::new(inverse, settings);
@@ -100,7 +97,6 @@ impl<'a> FeatureExtractor<'a> {
     }
 
     /// Inputs of a token on a curve of this many nodes, by one filter or two.
-    #[must_use]
     pub fn width(nodes: usize, two_filters: bool) -> usize {
         let knots = knots(nodes).len();
         COMMON_INPUTS + FILTER_INPUTS + KNOT_INPUTS * knots + if two_filters { 1 + knots } else { 0 }

@@ -5,7 +5,6 @@
 //! Source: O. Press, N. A. Smith, M. Lewis, "Train Short, Test Long: Attention with Linear Biases", ICLR 2022.
 
 /// Fall of attention with time, 1/s, a head: relative positions by time itself, so that the rate of sampling does not matter.
-#[must_use]
 pub fn time_bias_slope(head: usize, heads: usize) -> f32 {
     4.0 * 0.02_f32.powf(head as f32 / (heads.max(2) - 1) as f32)
 }

@@ -74,7 +74,6 @@ pub struct Prediction {
 
 impl Prediction {
     /// Of a contact of which nothing but that it is there is known.
-    #[must_use]
     pub fn unknown() -> Self {
         Self {
             contact: 1.0,

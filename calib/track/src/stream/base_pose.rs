@@ -16,13 +16,11 @@ pub struct BasePose {
 
 impl BasePose {
     /// Speed along the base's +z, mm/s, where it is known.
-    #[must_use]
     pub fn along_z_mm_s(&self) -> Option<f64> {
         self.velocity_mm_s.map(|v| v.z)
     }
 
     /// A point (mm) and its covariance (mm^2) in the world frame.
-    #[must_use]
     pub fn to_world(
         &self,
         point_mm: &Vector3<f64>,
@@ -53,7 +51,6 @@ const KEPT_S: f64 = 10.0;
 
 impl BaseMotion {
     /// `along`: direction of the stage's travel in the base frame; none where the base stands still.
-    #[must_use]
     pub fn new(at_zero: Isometry3<f64>, along: Option<Vector3<f64>>) -> Self {
         Self { at_zero, along: along.and_then(|a| a.try_normalize(1e-9)), way: VecDeque::new() }
     }
@@ -71,7 +68,6 @@ impl BaseMotion {
 
     /// Displacement along the stage's travel and its velocity, base frame (mm, mm/s), averaged over a filter's times and weights
     /// ([`LowPass::kernel`](super::LowPass::kernel)); none where the base is not carried or its positions do not reach so far.
-    #[must_use]
     pub fn averaged(&self, t_s: f64, kernel: &[(f64, f64)]) -> Option<(Vector3<f64>, Vector3<f64>)> {
         let along = self.along?;
         let (mut way_mm, mut speed_mm_s) = (0.0, 0.0);
@@ -94,7 +90,6 @@ impl BaseMotion {
     }
 
     /// The pose at a time between two positions that are near enough; none where there are none.
-    #[must_use]
     pub fn at(&self, t_s: f64) -> Option<BasePose> {
         let Some(along) = self.along else {
             return Some(BasePose { world_from_base: self.at_zero, velocity_mm_s: Some(Vector3::zeros()) });

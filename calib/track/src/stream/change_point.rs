@@ -36,7 +36,6 @@ pub struct Ring {
 
 impl Ring {
     /// Envelope at a time.
-    #[must_use]
     pub fn envelope(&self, t_s: f64) -> f64 {
         let decay = std::f64::consts::PI * self.hz / self.q;
         self.amplitude * (-decay * (t_s - self.from_s)).exp()
@@ -59,7 +58,6 @@ fn posterior(candidates: &[(f64, f64)], variance: f64) -> Option<EventTime> {
 }
 
 /// The part of a ramp's projection up to 70 % of it: beyond may be a plateau, which would be a second corner of the broken line.
-#[must_use]
 pub fn ramp_part(projected: &[(f64, f64)], rising: bool) -> &[(f64, f64)] {
     let mean = |part: &[(f64, f64)]| part.iter().map(|p| p.1).sum::<f64>() / part.len() as f64;
     let windows = || projected.windows(LEVEL_BLOCKS).map(mean);
@@ -76,7 +74,6 @@ pub fn ramp_part(projected: &[(f64, f64)], rising: bool) -> &[(f64, f64)] {
 /// Start (`rising`) or end of a ramp between a level and something else: a broken line, level and slope free.
 ///
 /// `variance`: of a block's projection, (N mm)^2.
-#[must_use]
 pub fn hinge(projected: &[(f64, f64)], rising: bool, variance: f64) -> Option<EventTime> {
     let n = projected.len();
     if n < 12 {
@@ -110,7 +107,6 @@ const CHANGES_S: [f64; 6] = [0.0, 0.004, 0.008, 0.012, 0.018, 0.026];
 ///
 /// Blocks are whitened: both components have variance 1. `None` where a kink, a broken line without a step, explains them as well to
 /// within `min_drop`: the load began or ceased to change there.
-#[must_use]
 pub fn step(
     blocks: &[Block],
     [from, to]: [usize; 2],
@@ -211,7 +207,6 @@ const Q_FACTORS: [f64; 8] = [0.5, 0.6, 0.75, 0.9, 1.1, 1.35, 2.0, 4.0];
 
 /// The ring in whitened `blocks`, where it is significant: it lowers the RSS of a parabola by `min_drop`. Its amplitude is in standard
 /// deviations of a block.
-#[must_use]
 pub fn ring(blocks: &[Block], [low_hz, high_hz]: [f64; 2], min_drop: f64) -> Option<Ring> {
     let span_s = blocks.last()?.t_s - blocks.first()?.t_s;
     let plain = fit(blocks, None, 2)?.0;
@@ -232,7 +227,6 @@ pub fn ring(blocks: &[Block], [low_hz, high_hz]: [f64; 2], min_drop: f64) -> Opt
 }
 
 /// Level at the end of `blocks`, the ring subtracted.
-#[must_use]
 pub fn level(blocks: &[Block], ring: Option<&Ring>) -> Option<Vector2<f64>> {
     let (_, c) = fit(blocks, ring.map(|r| (r.hz, r.q)), 1)?;
     Some(Vector2::new(c[(0, 0)] + c[(1, 0)], c[(0, 1)] + c[(1, 1)]))

@@ -30,7 +30,6 @@ pub enum EventKind {
 
 impl EventKind {
     /// Name in tables.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Onset => "onset",

@@ -79,7 +79,6 @@ pub struct EventDetector {
 
 impl EventDetector {
     /// A detector that still has to see its prefix.
-    #[must_use]
     pub fn new(settings: EventSettings) -> Self {
         Self {
             per_block: ((BLOCK_S * settings.rate_hz).round() as usize).max(1),
@@ -105,19 +104,16 @@ impl EventDetector {
     }
 
     /// Noise and limits, once the prefix is over.
-    #[must_use]
     pub fn noise(&self) -> Option<(Noise, Thresholds)> {
         self.noise
     }
 
     /// Whether the wire is in contact; `None` during the prefix.
-    #[must_use]
     pub fn contact(&self) -> Option<bool> {
         self.noise.map(|_| self.contact)
     }
 
     /// Changes that a gap cut off before they could be named.
-    #[must_use]
     pub fn cut_off(&self) -> u64 {
         self.lost_pending
     }

@@ -5,7 +5,6 @@ use wcal_core::observation::{RestShape, WhiskerSpec};
 /// First bending mode of a straight clamped wire of the whisker's length, in air, Hz: 1.8751^2 / (2 pi L^2) sqrt(E I / (rho A)).
 ///
 /// A pre-curved wire and water differ by some ten percent (34 Hz in water, docs/src/system.md); its users allow for that.
-#[must_use]
 pub fn first_mode_hz(whisker: &WhiskerSpec) -> f64 {
     let length_mm = match &whisker.rest_shape {
         RestShape::StraightArc { length_mm, .. } => *length_mm,

@@ -23,7 +23,6 @@ pub struct LowPass<const N: usize> {
 impl<const N: usize> LowPass<N> {
     /// For samples at `rate_hz`, answers at `out_hz` and a lag of `lag_s`; `None` where the lag is shorter than a sample or the
     /// rates are not above 0.
-    #[must_use]
     pub fn new(rate_hz: f64, out_hz: f64, lag_s: f64) -> Option<Self> {
         let half = (lag_s * rate_hz).round();
         if !((1.0..=1e6).contains(&half) && out_hz > 0.0 && out_hz <= rate_hz) {
@@ -45,13 +44,11 @@ impl<const N: usize> LowPass<N> {
     }
 
     /// Lag, s: an answer given with the newest sample is true of this much earlier.
-    #[must_use]
     pub fn lag_s(&self) -> f64 {
         (self.taps.len() / 2) as f64 / self.rate_hz
     }
 
     /// Gain at a frequency.
-    #[must_use]
     pub fn gain(&self, hz: f64) -> f64 {
         let half = (self.taps.len() / 2) as f64;
         let turn = std::f64::consts::TAU * hz / self.rate_hz;
@@ -59,14 +56,12 @@ impl<const N: usize> LowPass<N> {
     }
 
     /// Standard deviation of the answer per standard deviation of white noise.
-    #[must_use]
     pub fn noise_gain(&self) -> f64 {
         self.taps.iter().map(|t| t * t).sum::<f64>().sqrt()
     }
 
     /// The filter as times before (-) and after (+) what its answer is true of, s, and their weights: what a motion is averaged by so that it
     /// belongs to moments that went through the filter. At most `count` times; they stand for equal numbers of taps.
-    #[must_use]
     pub fn kernel(&self, count: usize) -> Vec<(f64, f64)> {
         let half = (self.taps.len() / 2) as f64;
         let size = self.taps.len().div_ceil(count.max(1));
@@ -92,7 +87,6 @@ impl<const N: usize> LowPass<N> {
     }
 
     /// The answer and its effective time; `None` until the filter is full.
-    #[must_use]
     pub fn answer(&self) -> Option<(f64, [f64; N])> {
         if self.kept.len() < self.taps.len() {
             return None;

@@ -65,14 +65,12 @@ const BACK_SHARE: f64 = 0.01;
 
 /// Limit that a squared distance with an estimated covariance (`dof`) passes with probability `p` (Hotelling, two components):
 /// the tail of F(2, n) is (1 + 2 f / n)^(-n/2).
-#[must_use]
 pub fn hotelling(p: f64, dof: f64) -> f64 {
     dof * (p.powf(-2.0 / (dof - 1.0)) - 1.0)
 }
 
 impl Noise {
     /// From the blocks of a prefix; `None` where there are too few or one axis does not vary at all.
-    #[must_use]
     pub fn of(blocks: &[Block]) -> Option<Self> {
         let span = BLOCKS_BEFORE + BLOCKS_AFTER;
         if blocks.len() < 8 * span {
@@ -106,7 +104,6 @@ impl Noise {
 
     /// Thresholds for a rate of false alarms per hour, shared between both tests. Every block is a test, and tests count as
     /// independent: the rate is an upper bound for noise as in the prefix.
-    #[must_use]
     pub fn thresholds(&self, false_alarms_per_hour: f64) -> Thresholds {
         // Bonferroni: the expected number of false alarms of all blocks and both tests is the stated one.
         let tests = 3600.0 / BLOCK_S;
@@ -130,7 +127,6 @@ const MAX_SLOW_RATIO: f64 = 25.0;
 
 /// Whether a prefix is noise alone: its parts and the whole have similar variances about their own lines, and no slow variation beyond the
 /// noise. A constant contact cannot be detected. A prefix too short to be divided is accepted.
-#[must_use]
 pub fn quiet(blocks: &[Block]) -> bool {
     let size = blocks.len() / PREFIX_PARTS;
     if size < MIN_PART_WINDOWS * LEVEL_BLOCKS {
@@ -164,7 +160,6 @@ fn windows(left: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
 }
 
 /// Mean of the last [`BLOCKS_AFTER`] blocks less what the line through the [`BLOCKS_BEFORE`] blocks before them predicts.
-#[must_use]
 pub fn contrast(blocks: &[Block]) -> Vector2<f64> {
     let (before, after) = blocks.split_at(BLOCKS_BEFORE);
     let n = before.len() as f64;
@@ -177,13 +172,11 @@ pub fn contrast(blocks: &[Block]) -> Vector2<f64> {
 }
 
 /// Squared distance of `v` by a covariance.
-#[must_use]
 pub fn distance(v: &Vector2<f64>, covariance: &Matrix2<f64>) -> f64 {
     covariance.try_inverse().map_or(f64::INFINITY, |inverse| (v.transpose() * inverse * v)[0])
 }
 
 /// Limit that chi-square with 4 degrees of freedom passes with probability `p`: (1 + x/2) exp(-x/2) = p.
-#[must_use]
 pub fn chi2_4(p: f64) -> f64 {
     let mut x = -2.0 * p.ln();
     for _ in 0..30 {

@@ -85,25 +85,21 @@ impl SignalChain {
     }
 
     /// The filter.
-    #[must_use]
     pub fn filter(&self) -> &LowPass<3> {
         &self.filter
     }
 
     /// The event detector.
-    #[must_use]
     pub fn detector(&self) -> &EventDetector {
         &self.detector
     }
 
     /// What the spread of the last row's moments is made of.
-    #[must_use]
     pub fn spread(&self) -> MomentSpread {
         self.map.spread()
     }
 
     /// Covariance of a row's own noise as in the prefix, (N mm)^2: that of the scans through the filter; none before the prefix is over.
-    #[must_use]
     pub fn row_noise_nmm2(&self) -> Option<Matrix2<f64>> {
         let (noise, _) = self.detector.noise()?;
         // Scans of white noise: the mean of a block has 1 / n of their variance.

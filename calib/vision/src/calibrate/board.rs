@@ -70,7 +70,6 @@ pub struct Board {
 }
 
 /// Flat board points, row by row, z = 0.
-#[must_use]
 pub fn board_points(columns: usize, rows: usize, square: f64) -> Vec<Vector3<f64>> {
     (0..rows)
         .flat_map(|j| (0..columns).map(move |i| Vector3::new(i as f64 * square, j as f64 * square, 0.0)))

@@ -82,7 +82,6 @@ pub struct Free {
 
 impl Free {
     /// Everything, with or without warp.
-    #[must_use]
     pub fn all(warp: bool) -> Self {
         Self { left: true, right: true, extrinsic: true, warp }
     }
@@ -121,14 +120,12 @@ impl BundleSolution {
     }
 
     /// Per-corner RMS over both cameras, px: `sqrt(sum |e|^2 / corners)`.
-    #[must_use]
     pub fn rms_px(&self) -> f64 {
         (self.cost_px2 / self.corners.max(1) as f64).sqrt()
     }
 }
 
 /// A point of the board with its warp shapes (1 - x^2, 1 - y^2).
-#[must_use]
 pub fn warp_shapes(points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
     let range = |axis: usize| {
         let (lo, hi) =
@@ -165,7 +162,6 @@ fn warped(points: &[Vector3<f64>], shapes: &[[f64; 2]], warp: [f64; 2]) -> Vec<V
 }
 
 /// Residuals (px, measured minus predicted) of one view: left and right, one entry a board point.
-#[must_use]
 pub fn residuals(
     state: &BundleState,
     points: &[Vector3<f64>],
@@ -380,7 +376,6 @@ impl Linearised for Masked<'_> {
 /// Minimises the reprojection error from `start`. `points` are the flat board's points in the board frame.
 ///
 /// Non-convergence and rank deficiency are reported in the result (`converged`, infinite covariance), not as errors.
-#[must_use]
 pub fn solve(points: &[Vector3<f64>], views: &[BoardView], start: BundleState, free: Free) -> BundleSolution {
     let shapes = warp_shapes(points);
     let mask = free.mask(start.layout());

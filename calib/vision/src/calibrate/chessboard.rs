@@ -23,7 +23,6 @@ pub struct BoardSize {
 
 impl BoardSize {
     /// Whether the colours distinguish a turn by 180 degrees: one side even, the other odd.
-    #[must_use]
     pub fn orientation_is_unique(&self) -> bool {
         (self.columns + self.rows) % 2 == 1
     }
@@ -130,7 +129,6 @@ fn neighbourhood(board: BoardSize, points: &[Vector2<f64>], k: usize) -> (f64, [
 }
 
 /// Refined corners ([`fit_corner`], twice: the finder's places are a pixel off); a corner that cannot be refined is none.
-#[must_use]
 pub fn refine(picture: &Picture, board: BoardSize, coarse: &[Vector2<f64>]) -> Vec<Option<Corner>> {
     let once = |start: &[Vector2<f64>]| -> Vec<Option<Corner>> {
         (0..start.len())
@@ -148,7 +146,6 @@ pub fn refine(picture: &Picture, board: BoardSize, coarse: &[Vector2<f64>]) -> V
 }
 
 /// Whether the pattern continues beyond the corners found: then the board is larger than stated. Names the side.
-#[must_use]
 pub fn continues_beyond(
     picture: &Picture,
     board: BoardSize,

@@ -24,7 +24,6 @@ pub struct Corner {
 /// `radius_px` the radius of the round window.
 ///
 /// Returns none where the window leaves the picture or the fit wanders off by more than half the radius.
-#[must_use]
 pub fn fit_corner(
     picture: &Picture,
     start: &Vector2<f64>,

@@ -232,7 +232,6 @@ impl StereoDocument {
 }
 
 /// A camera as a document.
-#[must_use]
 pub fn camera_document(name: &str, camera: &Camera, sd: &[f64]) -> CameraDocument {
     let k = camera.matrix();
     CameraDocument {

@@ -167,14 +167,12 @@ pub fn calibrate_alone(
 }
 
 /// Per-corner RMS of residuals, px; NaN without corners.
-#[must_use]
 pub fn view_rms(residuals: &[Option<Vector2<f64>>]) -> f64 {
     let (n, sum) = residuals.iter().flatten().fold((0, 0.0), |(n, s), e| (n + 1, s + e.norm_squared()));
     (sum / f64::from(n)).sqrt()
 }
 
 /// Median of the finite values; NaN where there is none.
-#[must_use]
 pub fn median(values: &[f64]) -> f64 {
     let mut v: Vec<f64> = values.iter().copied().filter(|x| x.is_finite()).collect();
     if v.is_empty() {
@@ -186,7 +184,6 @@ pub fn median(values: &[f64]) -> f64 {
 }
 
 /// The relative pose by one view with the smallest median RMS in the right pictures of all views, with the RMS of each view (px).
-#[must_use]
 pub fn consensus(
     points: &[Vector3<f64>],
     left: &MonoEstimate,

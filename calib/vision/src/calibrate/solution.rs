@@ -181,7 +181,6 @@ fn with_warp_if_needed(
 }
 
 /// Leaves out one pair at a time, solves without it, and measures its epipolar distances.
-#[must_use]
 pub fn leave_one_out(points: &[Vector3<f64>], solution: &StereoSolution) -> HeldOut {
     let distances: Vec<f64> = (0..solution.views.len())
         .into_par_iter()
@@ -203,7 +202,6 @@ pub fn leave_one_out(points: &[Vector3<f64>], solution: &StereoSolution) -> Held
 }
 
 /// Mean of the two distances (px) of every corner to the epipolar line of its partner, in the undistorted pictures.
-#[must_use]
 pub fn epipolar_distances(state: &BundleState, view: &BoardView) -> Vec<f64> {
     let r = state.right_from_left.rotation.to_rotation_matrix();
     let essential = crate::rigid::hat(&state.right_from_left.translation.vector) * r.matrix();

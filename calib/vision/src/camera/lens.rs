@@ -46,7 +46,6 @@ pub static OPENCV5: &dyn Lens = &BrownConrady;
 pub static FISHEYE: &dyn Lens = &KannalaBrandt;
 
 /// All models.
-#[must_use]
 pub fn lenses() -> [&'static dyn Lens; 2] {
     [OPENCV5, FISHEYE]
 }

@@ -35,7 +35,6 @@ pub struct Camera {
 
 impl Camera {
     /// Number of intrinsic parameters: those of the pinhole and of the lens.
-    #[must_use]
     pub fn intrinsics(&self) -> usize {
         PINHOLE_NAMES.len() + self.lens.coefficient_names().len()
     }
@@ -46,7 +45,6 @@ impl Camera {
     }
 
     /// The parameters: fx, fy, cx, cy, coefficients of the lens.
-    #[must_use]
     pub fn parameters(&self) -> Vec<f64> {
         let ([fx, fy], [cx, cy]) = (self.focal_px, self.centre_px);
         let coefficients = &self.distortion[..self.lens.coefficient_names().len()];
@@ -54,7 +52,6 @@ impl Camera {
     }
 
     /// The same camera with other parameters.
-    #[must_use]
     pub fn with_parameters(&self, p: &[f64]) -> Self {
         let mut distortion = [0.0; MAX_COEFFICIENTS];
         distortion[..self.intrinsics() - 4].copy_from_slice(&p[4..self.intrinsics()]);
@@ -62,20 +59,17 @@ impl Camera {
     }
 
     /// The 3x3 camera matrix.
-    #[must_use]
     pub fn matrix(&self) -> Matrix3<f64> {
         let ([fx, fy], [cx, cy]) = (self.focal_px, self.centre_px);
         Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0)
     }
 
     /// Distorted normalised coordinates of a direction with their derivative by it.
-    #[must_use]
     pub fn distort(&self, n: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
         self.lens.distort(&self.distortion, n)
     }
 
     /// Pixel of (distorted) normalised coordinates.
-    #[must_use]
     pub fn pixel(&self, d: &Vector2<f64>) -> Vector2<f64> {
         Vector2::new(self.focal_px[0] * d.x + self.centre_px[0], self.focal_px[1] * d.y + self.centre_px[1])
     }
@@ -89,7 +83,6 @@ impl Camera {
     }
 
     /// Pixel of a point in camera coordinates; none behind the camera.
-    #[must_use]
     pub fn project(&self, p: &Vector3<f64>) -> Option<Vector2<f64>> {
         if p.z <= 0.0 {
             return None;
@@ -100,7 +93,6 @@ impl Camera {
 
     /// Pixel with its derivatives by the point and by the intrinsic parameters (columns beyond [`Camera::intrinsics`] are 0); none behind
     /// the camera.
-    #[must_use]
     pub fn project_with_jacobian(
         &self,
         p: &Vector3<f64>,
@@ -129,20 +121,17 @@ impl Camera {
     }
 
     /// Undistorted normalised coordinates of a pixel; none where the distortion folds over.
-    #[must_use]
     pub fn undistort(&self, px: &Vector2<f64>) -> Option<Vector2<f64>> {
         self.lens.undistort(&self.distortion, &self.normalised(px))
     }
 
     /// The pixel at which the same camera without distortion shows what this pixel shows: straight edges are straight there; none where
     /// the distortion folds over.
-    #[must_use]
     pub fn undistorted_px(&self, p: &Vector2<f64>) -> Option<Vector2<f64>> {
         Some(self.pixel(&self.undistort(p)?))
     }
 
     /// The inverse of [`Camera::undistorted_px`].
-    #[must_use]
     pub fn distorted_px(&self, p: &Vector2<f64>) -> Vector2<f64> {
         self.pixel(&self.distort(&self.normalised(p)).0)
     }

@@ -61,7 +61,6 @@ pub struct CurveShape {
 
 impl CurveModel {
     /// A model that reaches `reach_mm` with one spline every `knot_mm`. Without `nominal` the rest shape is taken as straight.
-    #[must_use]
     pub fn new(whisker: &RigWhisker, reach_mm: f64, knot_mm: f64, use_nominal: bool) -> Self {
         let step_mm = 0.25;
         let intervals = (reach_mm / step_mm).ceil() as usize;
@@ -94,7 +93,6 @@ impl CurveModel {
 
     /// The same curve with a force at an arc length. The curvature's slope jumps there by the force over the bending stiffness (n' = -F
     /// delta, m' = -t x n): a corner that smoothing must not round, or the fitted wire would be short of the contact.
-    #[must_use]
     pub fn with_force_at(&self, arc_mm: f64) -> Self {
         let knot_mm = (self.nodes - 1) as f64 * self.step_mm / (self.splines - 3) as f64;
         // The second difference `row` is centred on knot `row`.
@@ -104,13 +102,11 @@ impl CurveModel {
     }
 
     /// Parameters: root offsets and both directions' coefficients.
-    #[must_use]
     pub fn parameters(&self) -> usize {
         ROOT + 2 * self.splines
     }
 
     /// The nominal curve.
-    #[must_use]
     pub fn rest(&self) -> CurveState {
         CurveState { root: [0.0; ROOT], coefficients: vec![0.0; 2 * self.splines] }
     }
@@ -130,7 +126,6 @@ impl CurveModel {
     }
 
     /// Positions and tangents of the nodes.
-    #[must_use]
     pub fn shape(&self, state: &CurveState) -> CurveShape {
         let (mut p, mut frame) = Self::root(state);
         let mut shape = CurveShape { points: vec![p], tangents: vec![frame.column(0).into_owned()] };
@@ -147,7 +142,6 @@ impl CurveModel {
     }
 
     /// Second derivative by the arc length that the rest shape's bending has at every node, 1/mm.
-    #[must_use]
     pub fn rest_bends(&self, state: &CurveState) -> Vec<Vector3<f64>> {
         let (_, mut frame) = Self::root(state);
         let mut bends = Vec::with_capacity(self.nodes);
@@ -162,7 +156,6 @@ impl CurveModel {
     }
 
     /// The curve that follows nodes (index and place, each to `sd_mm`) as closely as this smoothing allows, from a nearby one.
-    #[must_use]
     pub fn through(
         &self,
         start: &CurveState,
@@ -194,7 +187,6 @@ impl CurveModel {
     }
 
     /// Derivatives of every node's position: columns 3 i .. 3 i + 3 belong to node i, rows to the parameters.
-    #[must_use]
     pub fn jacobian(&self, state: &CurveState) -> DMatrix<f64> {
         let n = self.parameters();
         let mut j = DMatrix::<f64>::zeros(n, 3 * self.nodes);
@@ -245,19 +237,16 @@ impl CurveModel {
     }
 
     /// The roughness: the sum of squared second differences of both directions' coefficients, as a quadratic form.
-    #[must_use]
     pub fn penalty(&self) -> &DMatrix<f64> {
         &self.penalty
     }
 
     /// Rank of the penalty: second differences of both directions.
-    #[must_use]
     pub fn penalty_rank(&self) -> usize {
         2 * (self.splines - 2 - self.unpunished)
     }
 
     /// The state that follows given curvature deviations (one a node) as closely as the splines can.
-    #[must_use]
     pub fn from_curvatures(&self, deviations: &[[f64; 2]]) -> CurveState {
         let mut normal = DMatrix::<f64>::identity(self.splines, self.splines) * 1e-6;
         let mut rhs = DMatrix::<f64>::zeros(self.splines, 2);

@@ -45,7 +45,6 @@ pub(crate) fn in_camera(
 }
 
 /// Stations along the image of a curve (base frame nodes) up to `length_mm`.
-#[must_use]
 pub fn image_line(
     stereo: &StereoCameras,
     left_from_base: &Isometry3<f64>,
@@ -105,13 +104,11 @@ pub fn image_line(
 }
 
 /// Measures all stations of a line.
-#[must_use]
 pub fn measure(picture: &Picture, line: &Line, appearance: Appearance, search_px: f64) -> Vec<Piece> {
     line.stations.iter().filter_map(|s| fit_piece(picture, s, appearance, search_px)).collect()
 }
 
 /// Pieces that show the wire: a bar is likelier than an edge, and both sides differ from it with the wire's polarity.
-#[must_use]
 pub fn visible(pieces: &[Piece], polarity: f64) -> Vec<bool> {
     pieces
         .iter()
@@ -135,7 +132,6 @@ pub struct LineObservation {
 }
 
 /// Observations from measured pieces.
-#[must_use]
 pub fn observations(camera: usize, pieces: &[Piece], seen: &[bool]) -> Vec<LineObservation> {
     pieces
         .iter()
@@ -171,7 +167,6 @@ pub struct PairSystem {
 }
 
 /// Residuals of observations for given cameras, base pose and curve: observed minus predicted along the normal, px.
-#[must_use]
 pub fn observation_residuals(
     stereo: &StereoCameras,
     left_from_base: &Isometry3<f64>,
@@ -196,7 +191,6 @@ pub(crate) fn node(arc_mm: f64, step_mm: f64, nodes: usize) -> (usize, f64) {
 }
 
 /// Linearises the observations about a state. `noise` scales their standard deviations.
-#[must_use]
 pub fn linearise(
     stereo: &StereoCameras,
     left_from_base: &Isometry3<f64>,
@@ -259,7 +253,6 @@ pub fn linearise(
 }
 
 /// Applies a step (base correction and curve parameters).
-#[must_use]
 pub fn stepped(
     left_from_base: &Isometry3<f64>,
     state: &CurveState,
@@ -290,7 +283,6 @@ fn bends(state: &CurveState, n: usize) -> DVector<f64> {
 }
 
 /// Information matrix and right-hand side with the prior.
-#[must_use]
 pub fn with_prior(
     system: &PairSystem,
     prior: &Prior,
@@ -320,7 +312,6 @@ pub fn with_prior(
 }
 
 /// Smoothing that maximises the marginal likelihood of the linearised problem, on a ladder of factors of 3.
-#[must_use]
 pub fn choose_smoothing(system: &PairSystem, prior: &Prior, state: &CurveState, model: &CurveModel) -> f64 {
     let rank = model.penalty_rank() as f64;
     let theta = bends(state, model.parameters());

@@ -71,7 +71,6 @@ pub fn drawing(
 }
 
 /// Distance of every measured piece from the reprojected curve (px) over the arc length (mm), left and right.
-#[must_use]
 pub fn residuals(fit: &PairFit) -> [Vec<[f64; 2]>; 2] {
     [0, 1].map(|camera| {
         let all = fit.observations.iter().zip(&fit.system.residuals_px);

@@ -54,7 +54,6 @@ pub struct ShapesResult {
 }
 
 /// Runs all pairs. `progress` is called with each pair's name when it is done.
-#[must_use]
 pub fn shapes_of_pairs(
     stereo: &StereoCameras,
     rig: &Rig,

@@ -138,7 +138,6 @@ pub struct GroovePosition {
 impl GroovePosition {
     /// `vertex`: on both flanks; `double`: arched over the vertex, on the groove's two rims; `out-of-vertex`: on one flank;
     /// `none`: clear of both.
-    #[must_use]
     pub fn contact(&self, groove: &RigGroove, diameter_mm: f64) -> &'static str {
         let inverse = self.covariance.try_inverse().unwrap_or_else(Matrix3::zeros);
         // 13.8: 99.9 % of chi2 with 2 degrees of freedom.

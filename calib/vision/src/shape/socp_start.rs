@@ -51,7 +51,6 @@ struct PieceEquation {
 }
 
 /// The curve nearest to the chain that fits the observations best; none where the solver gives up.
-#[must_use]
 pub fn socp_initial_curve(
     stereo: &StereoCameras,
     left_from_base: &Isometry3<f64>,

@@ -95,13 +95,11 @@ pub struct Region {
 
 impl Region {
     /// All of a picture.
-    #[must_use]
     pub fn whole(picture: &Picture) -> Self {
         Self { low: [0, 0], high: [picture.width, picture.height], decimate: 1.0 }
     }
 
     /// The smallest region that holds both, searched as the finer one.
-    #[must_use]
     pub fn joined(&self, other: &Self) -> Self {
         Self {
             low: [0, 1].map(|k| self.low[k].min(other.low[k])),
@@ -111,7 +109,6 @@ impl Region {
     }
 
     /// Pixels.
-    #[must_use]
     pub fn area(&self) -> usize {
         [0, 1].map(|k| self.high[k].saturating_sub(self.low[k])).iter().product()
     }

@@ -43,13 +43,11 @@ fn observation(rig: &Rig, camera: usize, tag: &Tag) -> Option<TagObservation> {
 }
 
 /// Base tags of one pair alone.
-#[must_use]
 pub fn base_observations(rig: &Rig, tags: &PairTags) -> Vec<TagObservation> {
     tags.iter().filter_map(|(camera, tag)| observation(rig, *camera, tag)).collect()
 }
 
 /// Averages the base tags' corners over pairs and solves for the base's pose; none where no pair shows a base tag.
-#[must_use]
 pub fn folder_base(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> Option<FolderBase> {
     let mut groups: BTreeMap<(usize, u32), Vec<(usize, Tag)>> = BTreeMap::new();
     for (k, tags) in pairs.iter().enumerate() {
@@ -108,7 +106,6 @@ pub struct RigPoses {
 }
 
 /// Rig tag poses of all pairs.
-#[must_use]
 pub fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> RigPoses {
     let none = || RigPoses { poses: vec![None; pairs.len()], shared_turn: None };
     let Some(groove) = &rig.groove else { return none() };
@@ -129,7 +126,6 @@ pub fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> RigPo
 }
 
 /// Sightings of one tag in its own frame.
-#[must_use]
 pub fn observations_of(known: &RigTag, tags: &PairTags) -> Vec<TagObservation> {
     tags.iter()
         .filter(|(_, t)| t.id == known.id && t.family == known.family)
@@ -155,7 +151,6 @@ pub struct TurnBlocks {
 
 impl RigPose {
     /// None where the corners leave a direction open.
-    #[must_use]
     pub fn blocks(&self) -> Option<TurnBlocks> {
         let i = &self.information;
         let turn: Matrix3<f64> = i.fixed_view::<3, 3>(0, 0).into_owned();

@@ -29,7 +29,6 @@ pub struct Tag {
 
 impl Tag {
     /// Mean of the corners, px.
-    #[must_use]
     pub fn middle_px(&self) -> Vector2<f64> {
         self.corners_px.iter().sum::<Vector2<f64>>() / 4.0
     }
@@ -338,7 +337,6 @@ fn balanced(
 }
 
 /// Corners of a tag of side `size` in its own frame (x right, y down, z into the tag), in the order of [`Tag::corners_px`].
-#[must_use]
 pub fn tag_corners(size: f64) -> [nalgebra::Vector3<f64>; 4] {
     let h = 0.5 * size;
     [(-h, h), (h, h), (h, -h), (-h, -h)].map(|(x, y)| nalgebra::Vector3::new(x, y, 0.0))

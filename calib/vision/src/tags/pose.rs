@@ -57,7 +57,6 @@ impl TagObservation {
 }
 
 /// The pose that all observations agree on. Both planar solutions of every observation are starting points; the joint cost decides.
-#[must_use]
 pub fn body_pose(stereo: &StereoCameras, observations: &[TagObservation]) -> Option<BodyPose> {
     let mut solved: Vec<BodyPose> = Vec::new();
     for s in observations {
@@ -76,7 +75,6 @@ pub fn body_pose(stereo: &StereoCameras, observations: &[TagObservation]) -> Opt
 }
 
 /// Refines a pose from a starting point; none where it does not lie in front of the cameras.
-#[must_use]
 pub fn minimise(
     stereo: &StereoCameras,
     observations: &[TagObservation],
@@ -103,7 +101,6 @@ pub fn minimise(
 }
 
 /// RMS distance of the corners from those of a pose, px.
-#[must_use]
 pub fn residual_rms_px(
     stereo: &StereoCameras,
     observations: &[TagObservation],
@@ -122,7 +119,6 @@ pub fn residual_rms_px(
 }
 
 /// Weighted squares, information and right-hand side of a correction in the body's frame.
-#[must_use]
 pub fn linearise(
     stereo: &StereoCameras,
     observations: &[TagObservation],
@@ -151,7 +147,6 @@ pub fn linearise(
 }
 
 /// Derivative of the right-hand side of [`linearise`] by the cameras' parameters, 6 x parameters.
-#[must_use]
 pub fn gradient_by_calibration(
     stereo: &StereoCameras,
     observations: &[TagObservation],

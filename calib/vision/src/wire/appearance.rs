@@ -57,7 +57,6 @@ impl Appearance {
 
 /// Blur and width of the wire from the pieces that show it best: least pooled squares by Levenberg-Marquardt, centres and
 /// levels of every piece eliminated. `start` where too few pieces show the wire.
-#[must_use]
 pub fn fit_appearance(picture: &Picture, pieces: &[Piece], start: Appearance) -> Appearance {
     let mut best: Vec<&Piece> = pieces.iter().filter(|p| p.evidence > 0.0).collect();
     best.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));

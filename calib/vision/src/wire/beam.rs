@@ -132,7 +132,6 @@ fn starts(aside_mm: f64) -> Vec<Hypothesis> {
 }
 
 /// Grows curves from the root, keeping the best of them, and returns the best; none where no curve has any evidence.
-#[must_use]
 pub fn beam_search(scene: &Scene<'_>, whisker: &RigWhisker, settings: BeamSettings) -> Option<BeamResult> {
     let BeamSettings { beam, aside_mm, any_bend } = settings;
     let blocks = (1.12 * whisker.length_mm / STEP_MM) as usize / BRANCH_STEPS;

@@ -32,7 +32,6 @@ pub struct Station {
 
 impl Station {
     /// Unit normal.
-    #[must_use]
     pub fn normal(&self) -> Vector2<f64> {
         Vector2::new(-self.tangent.y, self.tangent.x)
     }
@@ -97,7 +96,6 @@ pub(crate) fn gather(picture: &Picture, at: &Station, reach: f64) -> Vec<Pixel> 
 }
 
 /// Fits one piece. `search_px`: how far from the predicted line the centre may lie.
-#[must_use]
 pub fn fit_piece(picture: &Picture, at: &Station, appearance: Appearance, search_px: f64) -> Option<Piece> {
     let width = at.width_px * appearance.width_scale;
     let bar = Bar::new(width, appearance.blur_px);

@@ -41,7 +41,6 @@ fn convolve(source: &[f32], kernel: &[f32], target: &mut [f32]) {
 
 impl<'a> RidgeMap<'a> {
     /// The map at a scale (sd of the Gaussian, px).
-    #[must_use]
     pub fn new(picture: &'a Picture, scale_px: f64) -> Self {
         let reach = (3.5 * scale_px).ceil() as i64;
         let kernel = |order: u8| -> Vec<f32> {
@@ -106,7 +105,6 @@ impl<'a> RidgeMap<'a> {
     }
 
     /// Second derivative across a line with this unit normal; positive on dark lines. None outside the picture.
-    #[must_use]
     pub fn across(&self, p: &Vector2<f64>, normal: &Vector2<f64>) -> Option<f64> {
         let (w, h) = (self.picture.width as f64, self.picture.height as f64);
         if !(p.x >= 1.0 && p.y >= 1.0 && p.x < w - 2.0 && p.y < h - 2.0) {
@@ -124,7 +122,6 @@ impl<'a> RidgeMap<'a> {
 
     /// Responses at places and in directions spread evenly over the picture (an R2 sequence): its responses without a
     /// wire. One tile in [`SAMPLED`] is evaluated, on a lattice that leaves out no row or column of tiles.
-    #[must_use]
     pub fn background(&self, count: usize) -> Vec<f64> {
         (0..count)
             .filter_map(|k| {
@@ -158,7 +155,6 @@ pub const HIDDEN: f64 = -0.69;
 
 impl Evidence {
     /// From the responses of the background and the strength that a wire has. `polarity` +1: dark wire.
-    #[must_use]
     pub fn new(background: &[f64], reference: f64, polarity: f64) -> Self {
         // Bins of a tenth of the reference from -1 to 3 references; one count is added to each bin (Laplace).
         let bin = 0.1 * reference;
@@ -182,7 +178,6 @@ impl Evidence {
     }
 
     /// Score of a response; outside the picture counts as hidden.
-    #[must_use]
     pub fn score(&self, response: Option<f64>) -> f64 {
         response.map_or(HIDDEN, |r| {
             let k = ((self.polarity * r + self.reference) / self.bin).floor().clamp(0.0, 39.0) as usize;

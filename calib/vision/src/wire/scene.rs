@@ -21,7 +21,6 @@ pub struct Scene<'a> {
 
 impl<'a> Scene<'a> {
     /// Cameras, base, maps and scores of both pictures.
-    #[must_use]
     pub fn new(
         stereo: &'a StereoCameras,
         left_from_base: &Isometry3<f64>,
@@ -35,7 +34,6 @@ impl<'a> Scene<'a> {
     }
 
     /// The same scene with a wire covered up: within this distance of its image nothing counts for or against a wire.
-    #[must_use]
     pub fn without(mut self, path: &[Vector3<f64>], distance_px: f64) -> Self {
         let reach = (distance_px / COVER_PX).ceil() as i64;
         for camera in 0..2 {
@@ -139,7 +137,6 @@ fn cell(px: &Vector2<f64>) -> [i64; 2] {
 
 /// Response that a wire shows near the root, per camera: the median over places of the strongest response across the expected
 /// line, within the distance that a root `aside_mm` off and the curvature at the root allow.
-#[must_use]
 pub fn expected_strength(
     stereo: &StereoCameras,
     left_from_base: &Isometry3<f64>,

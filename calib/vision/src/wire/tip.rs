@@ -24,7 +24,6 @@ const WINDOW_PX: f64 = 18.0;
 const FLOOR_PX: f64 = 0.15;
 
 /// Fits the end of a bar near `around_mm`. `line`: stations that continue beyond the end. None where the picture does not show it.
-#[must_use]
 pub fn find_tip(picture: &Picture, line: &[Station], appearance: Appearance, around_mm: f64) -> Option<Tip> {
     let at =
         line.iter().min_by(|a, b| (a.arc_mm - around_mm).abs().total_cmp(&(b.arc_mm - around_mm).abs()))?;

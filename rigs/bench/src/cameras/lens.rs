@@ -43,7 +43,6 @@ impl Lens {
     }
 
     /// The same camera moved by `by` in its own frame.
-    #[must_use]
     pub fn moved(&self, by: &Isometry3<f64>) -> Self {
         Self { camera_from_base: by * self.camera_from_base, ..self.clone() }
     }

@@ -21,7 +21,6 @@ pub struct Command {
 }
 
 /// Parses one line without its line end. `None`: a unit ignores such a line (noise, or a checksum that does not fit).
-#[must_use]
 pub fn parse(line: &[u8]) -> Option<Command> {
     let start = line.iter().rposition(|b| *b == b'/')?;
     let mut body = &line[start + 1..];
@@ -116,7 +115,6 @@ impl Header<'_> {
     }
 
     /// The reply and its info lines; data that do not fit one packet continue in `cont` packets.
-    #[must_use]
     pub fn reply(&self, answer: &Answer) -> Vec<String> {
         let state = if self.busy { "BUSY" } else { "IDLE" };
         let verdict = if answer.ok { "OK" } else { "RJ" };
@@ -140,7 +138,6 @@ impl Header<'_> {
     }
 
     /// An alert: sent without a request.
-    #[must_use]
     pub fn alert(&self) -> String {
         let state = if self.busy { "BUSY" } else { "IDLE" };
         self.seal('!', &format!("{:02} {} {state} {}", self.device, self.axis, self.flag))

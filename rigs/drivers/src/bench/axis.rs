@@ -43,7 +43,6 @@ pub struct Axis {
 
 impl Axis {
     /// At `x_mm`, with or without a reference.
-    #[must_use]
     pub fn new(spec: AxisSpec, x_mm: f64, homed: bool) -> Self {
         let motion = Motion::at_rest(x_mm, spec.acceleration_mm_s2);
         let sticky = if homed { BTreeSet::new() } else { BTreeSet::from(["WR"]) };
@@ -81,31 +80,26 @@ impl Axis {
     }
 
     /// True position (mm) and speed (mm/s), also for the recent past.
-    #[must_use]
     pub fn at(&self, t_s: f64) -> (f64, f64) {
         self.motion.at(t_s)
     }
 
     /// Position as the unit counts it, microsteps.
-    #[must_use]
     pub fn steps(&self, t_s: f64) -> i64 {
         self.spec.unit.from_mm(self.at(t_s).0)
     }
 
     /// Whether it moves.
-    #[must_use]
     pub fn busy(&self, t_s: f64) -> bool {
         self.endless[1] || t_s < self.motion.end_s()
     }
 
     /// Whether the position has a reference.
-    #[must_use]
     pub fn homed(&self) -> bool {
         !UNTIL_HOME.iter().any(|f| self.sticky.contains(f))
     }
 
     /// Flags shown, highest priority first.
-    #[must_use]
     pub fn flags(&self) -> Vec<&'static str> {
         PRIORITY.iter().copied().filter(|f| self.sticky.contains(f)).collect()
     }
@@ -173,7 +167,6 @@ impl Axis {
     }
 
     /// Speed of moves that name none, mm/s.
-    #[must_use]
     pub fn speed_mm_s(&self) -> f64 {
         self.speed_mm_s
     }
@@ -184,7 +177,6 @@ impl Axis {
     }
 
     /// Acceleration of moves, mm/s^2.
-    #[must_use]
     pub fn acceleration_mm_s2(&self) -> f64 {
         self.motion.acceleration_mm_s2()
     }

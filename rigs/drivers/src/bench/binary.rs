@@ -27,14 +27,12 @@ pub struct Message {
 
 impl Message {
     /// Six bytes as sent.
-    #[must_use]
     pub fn bytes(self) -> [u8; 6] {
         let d = self.data.to_le_bytes();
         [self.unit, self.command, d[0], d[1], d[2], d[3]]
     }
 
     /// From six bytes.
-    #[must_use]
     pub fn from_bytes(b: [u8; 6]) -> Self {
         Self { unit: b[0], command: b[1], data: i32::from_le_bytes([b[2], b[3], b[4], b[5]]) }
     }
@@ -52,7 +50,6 @@ pub struct BinaryUnit {
 
 impl BinaryUnit {
     /// A unit with its number and identity; `firmware` is e.g. 513 for 5.13.
-    #[must_use]
     pub fn new(number: u8, device_id: u32, firmware: u32, serial: u32) -> Self {
         Self { number, device_id, firmware, serial, pending: None }
     }

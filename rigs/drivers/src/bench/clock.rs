@@ -26,13 +26,11 @@ fn epoch_s() -> f64 {
 
 impl BenchClock {
     /// Starts now and runs `speed` times as fast as wall time.
-    #[must_use]
     pub fn start(speed: f64) -> Self {
         Self { pace: Pace::Wall(Instant::now()), start_epoch_s: epoch_s(), speed }
     }
 
     /// Stands until its time is let pass.
-    #[must_use]
     pub fn standing() -> Self {
         Self { pace: Pace::Let(Mutex::new(0.0)), start_epoch_s: epoch_s(), speed: 1.0 }
     }
@@ -45,7 +43,6 @@ impl BenchClock {
     }
 
     /// Bench time, s.
-    #[must_use]
     pub fn now_s(&self) -> f64 {
         match &self.pace {
             Pace::Wall(start) => start.elapsed().as_secs_f64() * self.speed,
@@ -54,19 +51,16 @@ impl BenchClock {
     }
 
     /// Bench time as seconds since the Unix epoch at which the bench started.
-    #[must_use]
     pub fn epoch_s(&self, t_s: f64) -> f64 {
         self.start_epoch_s + t_s
     }
 
     /// Wall time that `bench_s` seconds of bench time take.
-    #[must_use]
     pub fn wall(&self, bench_s: f64) -> Duration {
         Duration::from_secs_f64((bench_s / self.speed).max(0.0))
     }
 
     /// Bench seconds per wall second.
-    #[must_use]
     pub fn speed(&self) -> f64 {
         self.speed
     }

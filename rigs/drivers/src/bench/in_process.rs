@@ -51,7 +51,6 @@ pub struct InProcess {
 
 impl InProcess {
     /// A bench whose time stands.
-    #[must_use]
     pub fn new(scenario: Scenario, plant: Option<Box<dyn Plant>>) -> Self {
         let answers = ChaCha8Rng::seed_from_u64(scenario.seed ^ 0xa5);
         let shared = BenchState::by_clock(scenario, plant, BenchClock::standing());
@@ -67,7 +66,6 @@ impl InProcess {
     }
 
     /// What moves and what time it is; for links that carry the units' own bytes.
-    #[must_use]
     pub fn state(&self) -> &BenchState {
         &self.shared
     }

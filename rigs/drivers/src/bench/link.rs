@@ -79,7 +79,6 @@ impl Cable {
     }
 
     /// Whether the cable is out.
-    #[must_use]
     pub fn is_out(&self) -> bool {
         self.unplugged.load(Ordering::SeqCst)
     }
@@ -215,7 +214,6 @@ impl Pty {
     }
 
     /// Path of the slave, e.g. `/dev/pts/3`.
-    #[must_use]
     pub fn path(&self) -> &str {
         &self.path
     }

@@ -99,7 +99,6 @@ impl VirtualBench {
     }
 
     /// Where the devices answer.
-    #[must_use]
     pub fn addresses(&self) -> &Addresses {
         &self.addresses
     }
@@ -110,7 +109,6 @@ impl VirtualBench {
     }
 
     /// True stage position (mm) and speed (mm/s) now; for tests of what a fault left behind.
-    #[must_use]
     pub fn true_stage(&self) -> (f64, f64) {
         let t_s = self.shared.clock.now_s();
         self.shared.world().units.first().map_or((0.0, 0.0), |u| u.axis.at(t_s))
@@ -118,14 +116,12 @@ impl VirtualBench {
 
     /// Longest time by which the bench fell behind its own clock, s of bench time, where that is too long: its readings then came late,
     /// and those of a stage that had moved on since may be wrong.
-    #[must_use]
     pub fn fell_behind_s(&self) -> Option<f64> {
         let behind_s = self.shared.behind_s();
         (behind_s > late_s(self.shared.clock.speed())).then_some(behind_s)
     }
 
     /// Bench time, s.
-    #[must_use]
     pub fn now_s(&self) -> f64 {
         self.shared.clock.now_s()
     }

@@ -40,7 +40,6 @@ pub struct Motion {
 
 impl Motion {
     /// At rest at `x_mm`; every move uses `acceleration_mm_s2`.
-    #[must_use]
     pub fn at_rest(x_mm: f64, acceleration_mm_s2: f64) -> Self {
         let rest = MotionSegment {
             t_s: f64::NEG_INFINITY,
@@ -53,14 +52,12 @@ impl Motion {
     }
 
     /// Position (mm) and velocity (mm/s) at `t_s`; before the kept past, those at its start.
-    #[must_use]
     pub fn at(&self, t_s: f64) -> (f64, f64) {
         let piece = self.pieces.iter().rev().find(|p| p.t_s <= t_s).or(self.pieces.front());
         piece.map_or((0.0, 0.0), |p| p.at(t_s))
     }
 
     /// When the motion ends, s; the start of the last rest.
-    #[must_use]
     pub fn end_s(&self) -> f64 {
         self.pieces.back().map_or(0.0, |p| p.t_s)
     }
@@ -71,7 +68,6 @@ impl Motion {
     }
 
     /// Acceleration of moves, mm/s^2.
-    #[must_use]
     pub fn acceleration_mm_s2(&self) -> f64 {
         self.acceleration_mm_s2
     }

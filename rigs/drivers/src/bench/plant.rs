@@ -36,7 +36,6 @@ pub trait Plant: Send {
 }
 
 /// Centre line at an arc length (mm): point and unit tangent.
-#[must_use]
 pub fn rest_point(whisker: &WhiskerScenario, s_mm: f64) -> ([f64; 3], [f64; 3]) {
     let turn = ((s_mm - whisker.straight_mm) / whisker.arc_radius_mm).max(0.0);
     let (sin, cos) = turn.sin_cos();
@@ -45,7 +44,6 @@ pub fn rest_point(whisker: &WhiskerScenario, s_mm: f64) -> ([f64; 3], [f64; 3]) 
 }
 
 /// Arc length (mm) of the point of the resting wire nearest to `point_mm`.
-#[must_use]
 pub fn rest_arclength_mm(whisker: &WhiskerScenario, point_mm: [f64; 3]) -> f64 {
     let point = Vector3::from(point_mm);
     let far = |s: f64| (Vector3::from(rest_point(whisker, s).0) - point).norm();
@@ -87,7 +85,6 @@ const CUBIC: f64 = 0.6;
 
 impl Cantilever {
     /// The wire and paths of a scenario.
-    #[must_use]
     pub fn new(scenario: &Scenario) -> Self {
         let w = &scenario.whisker;
         // Second moments of a round wire, mm^4; E in N/mm^2.
@@ -143,7 +140,6 @@ pub struct Physics {
 
 impl Physics {
     /// The sensor of a scenario with its own cantilever or another plant.
-    #[must_use]
     pub fn new(scenario: &Scenario, plant: Option<Box<dyn Plant>>) -> Self {
         Self {
             plant: plant.unwrap_or_else(|| Box::new(Cantilever::new(scenario))),
@@ -169,7 +165,6 @@ impl Physics {
     }
 
     /// Temperature at `t_s`, deg C.
-    #[must_use]
     pub fn temperature_degc(&self, t_s: f64) -> f64 {
         let t = &self.scenario.temperature;
         let swing = t.swing_degc * (std::f64::consts::TAU * t_s / t.swing_period_s.max(1e-3)).sin();
@@ -209,7 +204,6 @@ impl Physics {
     }
 
     /// What cameras see.
-    #[must_use]
     pub fn scene(&self) -> Option<Arc<dyn Scene>> {
         self.plant.scene()
     }
@@ -225,7 +219,6 @@ impl Physics {
     }
 
     /// Where the groove is with the stage at `stage_mm`, mm past first contact. Loading is the reference of the play.
-    #[must_use]
     pub fn groove_mm(&self, stage_mm: f64) -> f64 {
         self.carriage_mm(stage_mm) + 5e-4 * self.scenario.effects.backlash_um
     }

@@ -140,7 +140,6 @@ impl Scenario {
     }
 
     /// Trajectories, the default nine where none are given.
-    #[must_use]
     pub fn trajectories(&self) -> Vec<TrajectoryScenario> {
         if self.trajectory.is_empty() { default_trajectories(&self.whisker) } else { self.trajectory.clone() }
     }
@@ -188,7 +187,6 @@ pub struct StageScenario {
 
 impl StageScenario {
     /// Stage position at first contact, mm.
-    #[must_use]
     pub fn contact_mm(&self) -> f64 {
         self.zero_mm.unwrap_or(20.0)
     }

@@ -77,7 +77,6 @@ pub struct Unit {
 
 impl Unit {
     /// A unit that has just been switched on.
-    #[must_use]
     pub fn new(address: u8, spec: UnitSpec) -> Self {
         let axis_spec = AxisSpec {
             unit: Microsteps { size_um: spec.microstep_um },
@@ -90,7 +89,6 @@ impl Unit {
     }
 
     /// Speaks to this unit and it is awake.
-    #[must_use]
     pub fn hears(&self, command: &Command, t_s: f64) -> bool {
         t_s >= self.silent_until_s && (command.device == 0 || command.device == self.address)
     }

@@ -13,7 +13,6 @@ pub struct UnitClock {
 
 impl UnitClock {
     /// What it shows at bench time `t_s`, s.
-    #[must_use]
     pub fn at(&self, t_s: f64) -> f64 {
         let t_s = self.stopped_s.map_or(t_s, |stopped_s| t_s.min(stopped_s));
         let (since_s, ppm) = self.drift;

@@ -112,14 +112,12 @@ pub(super) fn guard<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl BenchState {
     /// A bench that starts now.
-    #[must_use]
     pub fn new(scenario: Scenario, plant: Option<Box<dyn Plant>>) -> Arc<Self> {
         let clock = BenchClock::start(scenario.speed);
         Self::by_clock(scenario, plant, clock)
     }
 
     /// A bench by a clock of its own.
-    #[must_use]
     pub fn by_clock(scenario: Scenario, plant: Option<Box<dyn Plant>>, clock: BenchClock) -> Arc<Self> {
         let mut units = vec![Unit::new(1, scenario.stage.unit.clone())];
         if scenario.mount.present {
@@ -195,7 +193,6 @@ impl BenchState {
     }
 
     /// Whether the bench is shutting down.
-    #[must_use]
     pub fn stopping(&self) -> bool {
         self.stop.load(Ordering::SeqCst)
     }
@@ -212,25 +209,21 @@ impl BenchState {
     }
 
     /// Bench time until which the stream is held back.
-    #[must_use]
     pub fn paused_until_s(&self) -> f64 {
         *guard(&self.pause_until_s)
     }
 
     /// Longest time by which the bench fell behind its own clock so far, s.
-    #[must_use]
     pub fn behind_s(&self) -> f64 {
         self.world().behind_s
     }
 
     /// Whether no new connection is answered.
-    #[must_use]
     pub fn never_accepts(&self) -> bool {
         self.never_accepts.load(Ordering::SeqCst)
     }
 
     /// Time of the interrogator's clock at bench time `t_s`, s since 1970.
-    #[must_use]
     pub fn device_s(&self, t_s: f64) -> f64 {
         let spec = &self.scenario.interrogator;
         let own_s = guard(&self.unit_clock).at(t_s) + t_s * spec.clock_drift_ppm * 1e-6;
@@ -238,13 +231,11 @@ impl BenchState {
     }
 
     /// The newest scan.
-    #[must_use]
     pub fn newest(&self) -> Option<Scan> {
         guard(&self.ring).scans.back().copied()
     }
 
     /// Scans from number `from` on, waiting a moment for the first; scans that were dropped are missing.
-    #[must_use]
     pub fn scans_from(&self, from: u64) -> Vec<Scan> {
         let ring = guard(&self.ring);
         let waiting = |r: &mut Ring| !self.stopping() && r.scans.back().is_none_or(|s| s.serial < from);

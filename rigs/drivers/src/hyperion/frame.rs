@@ -10,7 +10,6 @@ pub const PEAK_HEADER: usize = 24;
 const MAX_LENGTH: usize = 16 << 20;
 
 /// Bytes of a request: `#Command`, arguments, and whether the reply leaves out the message text.
-#[must_use]
 pub fn request(command: &str, arguments: &[u8], terse: bool) -> Vec<u8> {
     let mut bytes = vec![u8::from(terse), 0];
     bytes.extend((command.len() as u16).to_le_bytes());

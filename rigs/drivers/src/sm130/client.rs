@@ -38,7 +38,6 @@ impl Sm130 {
     }
 
     /// Bytes of the stream that belonged to no frame.
-    #[must_use]
     pub fn skipped_bytes(&self) -> u64 {
         self.decoder.skipped()
     }

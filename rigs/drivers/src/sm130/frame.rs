@@ -35,7 +35,6 @@ pub struct Frame {
 
 impl Frame {
     /// As a reading, with the host time of arrival (s).
-    #[must_use]
     pub fn reading(self, host_s: f64) -> FbgReading {
         FbgReading {
             serial: u64::from(self.serial),

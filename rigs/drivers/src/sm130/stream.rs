@@ -57,7 +57,6 @@ impl StreamDecoder {
     }
 
     /// Bytes that belonged to no frame.
-    #[must_use]
     pub fn skipped(&self) -> u64 {
         self.skipped
     }

@@ -125,7 +125,6 @@ impl BinaryLine {
     }
 
     /// Where the line hangs.
-    #[must_use]
     pub fn place(&self) -> &Port {
         &self.place
     }
@@ -153,7 +152,6 @@ impl BinaryLine {
     }
 
     /// Requests that had to be repeated.
-    #[must_use]
     pub fn repeats(&self) -> u64 {
         self.repeats
     }

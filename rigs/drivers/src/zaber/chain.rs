@@ -176,7 +176,6 @@ impl Chain {
     }
 
     /// Where the chain hangs.
-    #[must_use]
     pub fn place(&self) -> &Port {
         &self.place
     }
@@ -247,13 +246,11 @@ impl Chain {
     }
 
     /// Requests that had to be repeated.
-    #[must_use]
     pub fn repeats(&self) -> u64 {
         self.repeats
     }
 
     /// Name for messages.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }

@@ -1,7 +1,6 @@
 //! Checksum of Zaber's ASCII protocol: LRC of the bytes after the first, as two hex digits after a colon.
 
 /// LRC of `bytes` (without the leading `/`, `@`, `#` or `!`).
-#[must_use]
 pub fn lrc(bytes: &[u8]) -> u8 {
     bytes.iter().fold(0_u8, |sum, b| sum.wrapping_add(*b)).wrapping_neg()
 }

@@ -3,7 +3,6 @@
 use wcal_core::device::DeviceErrorKind;
 
 /// What a flag forbids, and its name; `None` for notices.
-#[must_use]
 pub fn meaning(flag: &str) -> Option<(DeviceErrorKind, &'static str)> {
     use DeviceErrorKind as Kind;
     Some(match flag {
@@ -27,13 +26,11 @@ pub fn meaning(flag: &str) -> Option<(DeviceErrorKind, &'static str)> {
 }
 
 /// Whether a unit keeps a flag until `warnings clear`: what it tells of is over, and somebody has to look first.
-#[must_use]
 pub fn is_latched(flag: &str) -> bool {
     ["FS", "FE", "WS", "WM", "WL"].contains(&flag)
 }
 
 /// Who must do what about a flag, as the end of a sentence; empty where it goes by itself.
-#[must_use]
 pub fn remedy(flag: &str) -> &'static str {
     match flag {
         "WR" | "WH" => "; `--home` searches the reference, and moves to the home switch",
@@ -51,7 +48,6 @@ pub fn remedy(flag: &str) -> &'static str {
 }
 
 /// The first flag of a list that forbids measuring. While homing a missing reference is no obstacle.
-#[must_use]
 pub fn worst(flags: &[String], homing: bool) -> Option<(&str, DeviceErrorKind, &'static str)> {
     flags.iter().find_map(|flag| {
         let (kind, text) = meaning(flag)?;

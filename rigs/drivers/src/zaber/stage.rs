@@ -52,7 +52,6 @@ impl ZaberStage {
     }
 
     /// The chain, for a second axis and for its statistics.
-    #[must_use]
     pub fn chain(&self) -> Rc<RefCell<Chain>> {
         Rc::clone(&self.chain)
     }

@@ -16,37 +16,31 @@ pub struct Microsteps {
 
 impl Microsteps {
     /// Nearest microstep to a position in mm.
-    #[must_use]
     pub fn from_mm(self, mm: f64) -> i64 {
         (mm * 1000.0 / self.size_um).round() as i64
     }
 
     /// Position in mm.
-    #[must_use]
     pub fn to_mm(self, steps: f64) -> f64 {
         steps * self.size_um / 1000.0
     }
 
     /// Speed data from mm/s, at least 1: zero means "default" to some firmware.
-    #[must_use]
     pub fn speed_data(self, mm_s: f64) -> i64 {
         ((mm_s * 1000.0 / self.size_um * SPEED_FACTOR).round() as i64).max(1)
     }
 
     /// Speed in mm/s from its data.
-    #[must_use]
     pub fn speed_mm_s(self, data: f64) -> f64 {
         data / SPEED_FACTOR * self.size_um / 1000.0
     }
 
     /// Acceleration in mm/s^2 from its data.
-    #[must_use]
     pub fn acceleration_mm_s2(self, data: f64) -> f64 {
         data / ACCELERATION_FACTOR * self.size_um / 1000.0
     }
 
     /// Acceleration data from mm/s^2.
-    #[must_use]
     pub fn acceleration_data(self, mm_s2: f64) -> i64 {
         ((mm_s2 * 1000.0 / self.size_um * ACCELERATION_FACTOR).round() as i64).max(1)
     }

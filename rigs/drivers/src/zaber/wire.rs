@@ -132,7 +132,6 @@ pub struct Wire {
 
 impl Wire {
     /// Over an open link; `name` is for messages.
-    #[must_use]
     pub fn over(link: Box<dyn ByteLink>, name: String, deadline: Deadline) -> Self {
         Self { link, buffer: Vec::new(), at: 0, timeout: None, deadline, name }
     }

@@ -52,7 +52,6 @@ const PIECES: usize = 240;
 
 impl Outline {
     /// Signed distance (mm, positive outside) and outward normal at the nearest point of the outline.
-    #[must_use]
     pub fn closest(&self, at: &Vector2<f64>) -> (f64, Vector2<f64>) {
         match *self {
             Self::Ellipse { a_mm, b_mm } => ellipse(a_mm, b_mm, at),
@@ -147,7 +146,6 @@ impl Body {
     }
 
     /// Signed distance (mm) and outward normal of the surface at the point nearest to a place in the world; the ends are far away.
-    #[must_use]
     pub fn closest(&self, place_mm: &Vector3<f64>) -> (f64, Vector3<f64>) {
         let local = self.turn.tr_mul(&(place_mm - self.centre_mm));
         let (distance, n) = self.outline.closest(&Vector2::new(local.x, local.z));
@@ -155,7 +153,6 @@ impl Body {
     }
 
     /// Facets of the surface for an STL file, mm, world frame.
-    #[must_use]
     pub fn facets(&self) -> String {
         let ring = self.outline.points();
         let at = |p: &Vector2<f64>, w: f64| self.centre_mm + self.turn * Vector3::new(p.x, w, p.y);

@@ -266,7 +266,6 @@ impl SweepCase {
     }
 
     /// Standard deviation of the moments by the noise of a reading, N mm.
-    #[must_use]
     pub fn noise_nmm(&self) -> f64 {
         let [[a, b], [c, d]] = self.scene.bench.k;
         self.scene.noise_pm / (a * d - b * c).abs().sqrt()

@@ -117,7 +117,6 @@ impl DiscreteRod {
 
     /// Equilibrium against `surface`, which moved by `how.moved_mm` since the wire was at `how.before` with the contacts `known`, and
     /// friction. Each round is [`Self::solve_contact`], or with `penalty` [`Self::solve_penalty_contact`], of at most `max_iterations`.
-    #[must_use]
     pub fn solve_frictional_contact<S: Surface>(
         &self,
         surface: &S,

@@ -42,7 +42,6 @@ struct State {
 
 impl DiscreteRod {
     /// Equilibrium against `surface` from a place where the wire overlaps it by less than its radius.
-    #[must_use]
     pub fn solve_penalty_contact<S: Surface>(
         &self,
         surface: &S,

@@ -70,7 +70,6 @@ impl DiscreteRod {
     /// Equilibrium against `surface`, from `start`, whose contacts were `known` before the body moved by `moved_mm`.
     ///
     /// Where it is lost, damping makes the steps a walk down the energy, and with enough of them the wire springs to another.
-    #[must_use]
     pub fn solve_contact<S: Surface>(
         &self,
         surface: &S,
@@ -83,7 +82,6 @@ impl DiscreteRod {
     }
 
     /// Moment at the root, N mm.
-    #[must_use]
     pub fn base_moment_nmm(&self, pressed: &ContactState) -> Vector3<f64> {
         let along = self.clamp_frame().column(0) * self.link_mm;
         let beyond = |c: &Contact| {

@@ -54,7 +54,6 @@ fn time_constants(clock: &[f64]) -> Option<[f64; 2]> {
 const RATIOS: [f64; 2] = [0.05, 30.0];
 
 /// Estimates the parts of the noise in the residuals of `model`; `counted` are the readings that count.
-#[must_use]
 pub fn estimate(
     model: &MeanModel,
     inputs: &NoiseInputs,
@@ -132,7 +131,6 @@ type Parts = (Weights, Option<(Estimated, f64)>, Option<Estimated>);
 
 /// Misfit of `model` at the shared parts that suit it best, whether or not chance would give them: how well it can do at all. `noise` gives
 /// the spread and is where nothing suits better.
-#[must_use]
 pub fn best_misfit(model: &MeanModel, inputs: &NoiseInputs, noise: &Noise) -> Option<Misfit> {
     let relative = noise.weights.relative().to_vec();
     let at = |v: &[f64; 3]| {

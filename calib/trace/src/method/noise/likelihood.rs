@@ -23,7 +23,6 @@ pub struct MeanModel<'a> {
 
 impl<'a> MeanModel<'a> {
     /// Around a fit.
-    #[must_use]
     pub fn of(fit: &'a Fit) -> Self {
         Self {
             design: &fit.raw_design,
@@ -34,7 +33,6 @@ impl<'a> MeanModel<'a> {
     }
 
     /// With more columns, free in every channel.
-    #[must_use]
     pub fn with(mut self, columns: &[Vec<f64>]) -> Self {
         self.extra.extend_from_slice(columns);
         self
@@ -60,7 +58,6 @@ pub struct Misfit {
 const RIDGE: f64 = 1e-9;
 
 /// Misfit of `model` with all its coefficients refitted under `weights`; none where they cannot be.
-#[must_use]
 pub fn misfit(model: &MeanModel, weights: &Weights) -> Option<Misfit> {
     let (n, channels) = model.residual.shape();
     let q = model.design.ncols() + model.extra.len();

@@ -35,7 +35,6 @@ pub struct NoiseInputs {
 
 impl NoiseInputs {
     /// Readings of which nothing is known.
-    #[must_use]
     pub fn none(n: usize) -> Self {
         Self {
             clock: None,
@@ -50,7 +49,6 @@ impl NoiseInputs {
 
     /// 1 / relative standard deviation of readings by themselves, where the part that averaging does not lower has the variance `common`
     /// beside 1 of a typical reading's average.
-    #[must_use]
     pub fn own(&self, common: f64) -> Vec<f64> {
         if self.averaged.is_empty() {
             return self.known.clone();
@@ -60,7 +58,6 @@ impl NoiseInputs {
     }
 
     /// Readings of typical averaging: what the floor is stated for.
-    #[must_use]
     pub fn typical(&self, reading: usize) -> bool {
         self.averaged.get(reading).is_none_or(|a| *a <= TYPICAL)
     }
@@ -72,7 +69,6 @@ impl NoiseInputs {
     }
 
     /// Readings beyond the first of each pose setting: what tells pose scatter from repeat noise.
-    #[must_use]
     pub fn held_repeats(&self, weights: &Weights) -> usize {
         let mut last = None;
         let mut count = 0;
@@ -116,7 +112,6 @@ pub struct Noise {
 
 impl Noise {
     /// No noise at all, on the readings of `other`.
-    #[must_use]
     pub fn none(other: &Self) -> Self {
         let nothing = Estimated { value: 0.0, interval95: [0.0; 2] };
         let weights = Weights::independent(vec![1.0; other.weights.relative().len()]);
@@ -134,7 +129,6 @@ impl Noise {
 
     /// Weights of other readings of the same session (sealed ones among them) under this noise; `upper` takes the upper ends of the shared
     /// parts' intervals.
-    #[must_use]
     pub fn weights_of(&self, inputs: &NoiseInputs, upper: bool) -> Weights {
         let own =
             self.law.as_ref().map_or_else(|| vec![1.0; inputs.settings.len()], |l| l.relative_sd(inputs));
@@ -147,14 +141,12 @@ impl Noise {
     }
 
     /// Variance of what readings share, in units of the repeat noise's.
-    #[must_use]
     pub fn shared_variance(&self) -> f64 {
         let of = |e: &Estimated| (e.value / self.repeat.value).powi(2);
         self.correlated.as_ref().map_or(0.0, |(e, _)| of(e)) + self.pose.as_ref().map_or(0.0, of)
     }
 
     /// Standard deviation of each of those readings at a pose set anew and at another time, in the unit of the measured values.
-    #[must_use]
     pub fn reading_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
         let weights = self.weights_of(inputs, false);
         (0..inputs.settings.len()).map(|i| self.repeat.value * weights.total_sd(i)).collect()

@@ -76,7 +76,6 @@ fn harvey(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
 
 /// Tests `residual` (of one mean model, equal weights) against the stimulus. `u` is the stimulus in half ranges and `x` as measured;
 /// `draws` permutations. None with too few readings or a constant stimulus.
-#[must_use]
 pub fn spread_test(residual: &[f64], x: &[f64], u: &[f64], draws: usize, seed: u64) -> Option<Spread> {
     if residual.len() < MIN_READINGS {
         return None;

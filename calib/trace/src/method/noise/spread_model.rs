@@ -28,7 +28,6 @@ const SPREAD_RANGE: [f64; 2] = [0.02, 50.0];
 
 impl SpreadModel {
     /// Relative standard deviations of readings.
-    #[must_use]
     pub fn relative_sd(&self, inputs: &NoiseInputs) -> Vec<f64> {
         let values = inputs.spread.iter().find(|(name, _)| *name == self.follows).map(|(_, v)| v);
         let of = |v: &f64| {

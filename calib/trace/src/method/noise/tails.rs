@@ -113,7 +113,6 @@ fn fit_sorted(sorted: &[f64], censored: usize) -> Tails {
 }
 
 /// Tails of standardised residuals (of readings that count); none of too few.
-#[must_use]
 pub fn tails(residuals: &[f64]) -> Option<Tails> {
     let mut sorted: Vec<f64> = residuals.iter().map(|z| z.abs()).collect();
     if sorted.len() < 20 {
@@ -135,7 +134,6 @@ pub struct ExtremeValues {
 }
 
 /// Looks for outlying values among `residuals`, at most `most` of them: from the most downwards, the first number whose p-value is below `level`.
-#[must_use]
 pub fn outlying(residuals: &[f64], most: usize, level: f64) -> Option<ExtremeValues> {
     let mut sorted: Vec<f64> = residuals.iter().map(|z| z.abs()).collect();
     sorted.sort_by(f64::total_cmp);

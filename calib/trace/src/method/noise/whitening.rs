@@ -58,19 +58,16 @@ pub struct Weights {
 
 impl Weights {
     /// Every reading alike.
-    #[must_use]
     pub fn equal(n: usize) -> Self {
         Self::independent(vec![1.0; n])
     }
 
     /// Independent readings with these weights (1 / relative standard deviation; 0 = does not count).
-    #[must_use]
     pub fn independent(relative: Vec<f64>) -> Self {
         Self { own: relative.clone(), relative, shared: None, filter: Vec::new() }
     }
 
     /// Readings that share part of their noise.
-    #[must_use]
     pub fn sharing(relative: Vec<f64>, shared: SharedNoise) -> Self {
         if shared.correlated.is_none() && shared.pose == 0.0 {
             return Self::independent(relative);
@@ -80,7 +77,6 @@ impl Weights {
     }
 
     /// The same noise where only readings with `keep` count.
-    #[must_use]
     pub fn masked(&self, keep: impl Fn(usize) -> bool) -> Self {
         let relative =
             self.relative.iter().enumerate().map(|(i, w)| if keep(i) { *w } else { 0.0 }).collect();
@@ -88,7 +84,6 @@ impl Weights {
     }
 
     /// The same noise where every reading that can be used counts.
-    #[must_use]
     pub fn unmasked(&self) -> Self {
         self.with(self.own.clone())
     }
@@ -99,49 +94,41 @@ impl Weights {
     }
 
     /// Weight of a reading by itself, 1 / h; 0 where it does not count.
-    #[must_use]
     pub fn of(&self, i: usize) -> f64 {
         self.relative[i]
     }
 
     /// The weights by themselves.
-    #[must_use]
     pub fn relative(&self) -> &[f64] {
         &self.relative
     }
 
     /// Whether a reading counts.
-    #[must_use]
     pub fn counts(&self, i: usize) -> bool {
         self.relative[i] > 0.0
     }
 
     /// Readings in the table.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.relative.len()
     }
 
     /// No readings.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.relative.is_empty()
     }
 
     /// Readings that count.
-    #[must_use]
     pub fn active(&self) -> usize {
         self.relative.iter().filter(|w| **w > 0.0).count()
     }
 
     /// What readings share.
-    #[must_use]
     pub fn shared(&self) -> Option<&SharedNoise> {
         self.shared.as_ref()
     }
 
     /// Standard deviation of a new reading at a new pose and another time, in units of `s`, for each reading's law.
-    #[must_use]
     pub fn total_sd(&self, i: usize) -> f64 {
         let own = if self.own[i] > 0.0 { 1.0 / self.own[i] } else { 1.0 };
         let shared = self.shared.as_ref().map_or(0.0, |s| {
@@ -152,7 +139,6 @@ impl Weights {
     }
 
     /// Whitens every column; rows that do not count become zero.
-    #[must_use]
     pub fn apply(&self, m: &DMatrix<f64>) -> DMatrix<f64> {
         let mut out = m.clone();
         for mut column in out.column_iter_mut() {
@@ -162,7 +148,6 @@ impl Weights {
     }
 
     /// Whitens one column.
-    #[must_use]
     pub fn apply_to(&self, column: &[f64]) -> Vec<f64> {
         let mut out = column.to_vec();
         self.whiten(&mut out);
@@ -192,7 +177,6 @@ impl Weights {
     }
 
     /// Logarithm of the determinant of the covariance of the readings that count, `s` = 1.
-    #[must_use]
     pub fn log_determinant(&self) -> f64 {
         if self.shared.is_some() {
             self.filter.iter().filter(|f| f.scale > 0.0).map(|f| -2.0 * f.scale.ln()).sum()
@@ -202,7 +186,6 @@ impl Weights {
     }
 
     /// Covariance of readings `rows`, `s` = 1 (dense; for few readings).
-    #[must_use]
     pub fn covariance(&self, rows: &[usize]) -> DMatrix<f64> {
         DMatrix::from_fn(rows.len(), rows.len(), |a, b| {
             let (i, j) = (rows[a], rows[b]);

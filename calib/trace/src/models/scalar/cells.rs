@@ -70,7 +70,6 @@ fn weighted(values: &[f64], weights: &[f64], cells: &[Vec<usize>], within: bool)
 }
 
 /// Splits what `fit` leaves; readings independent but for their relative spread.
-#[must_use]
 pub fn split(fit: &Fit, weights: &Weights, cells: &[u64]) -> Split {
     let w = weights.relative();
     let cells = members(cells, w);
@@ -155,7 +154,6 @@ impl ScalarSystem {
 
     /// The first term of `h` that this design does not identify: it gains nothing where it says something of its own, or it rests on one
     /// level or one cycle.
-    #[must_use]
     pub fn first_not_identified(&self, h: &Hypothesis) -> Option<NotIdentified> {
         let strata = self.strata(h);
         let levels = self.levels(&h.weights);
@@ -247,7 +245,6 @@ impl ScalarSystem {
     }
 
     /// What the omnibus test still sees is a law of the clock alone, which the search did not take because cells do not bear it out.
-    #[must_use]
     pub fn only_a_clock_is_left(&self, found: &SearchResult) -> bool {
         let (best, test) = (&found.best, &found.last_test);
         if test.generic() || !repeated(&protocol_keys(&self.frame), best.weights.relative()) {
@@ -260,7 +257,6 @@ impl ScalarSystem {
     }
 
     /// What `columns` explain of what `h` leaves says nothing within cells: it repeats with the protocol.
-    #[must_use]
     pub fn only_between_cells(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> bool {
         let cells = protocol_keys(&self.frame);
         if !repeated(&cells, h.weights.relative()) {

@@ -26,20 +26,17 @@ pub struct Floor {
 const MIN_DOF: usize = 8;
 
 /// One key for readings that ought to agree: same stimulus, same direction.
-#[must_use]
 pub fn replicate_keys(frame: &Frame) -> Vec<u64> {
     keys(frame, frame.direction.as_deref())
 }
 
 /// The same by the way of the stimulus in the order of the table, where that is known: what repeats with the protocol.
-#[must_use]
 pub fn protocol_keys(frame: &Frame) -> Vec<u64> {
     let by_order = (frame.direction.is_none() && frame.ordered).then(|| ways(&frame.rows));
     keys(frame, by_order.as_deref().or(frame.direction.as_deref()))
 }
 
 /// One key a stimulus.
-#[must_use]
 pub fn level_keys(frame: &Frame) -> Vec<u64> {
     keys(frame, None)
 }
@@ -63,7 +60,6 @@ fn keys(frame: &Frame, direction: Option<&[f64]>) -> Vec<u64> {
 }
 
 /// Floor from the residuals of the accepted explanation, so that drifts and temperature are out of it.
-#[must_use]
 pub fn noise_floor(system: &ScalarSystem, h: &Hypothesis, noise: &Noise) -> Option<Floor> {
     let frame = &system.frame;
     let shape = noise.weights_of(&system.noise_inputs(), false);

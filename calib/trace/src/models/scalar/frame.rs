@@ -26,7 +26,6 @@ pub enum Declared {
 
 impl Declared {
     /// A sentence about stimulus and response in the words of the session's kind: an axis has commanded and measured positions.
-    #[must_use]
     pub fn format_text(self, sentence: &str) -> String {
         match self {
             Self::Polynomial(_) => sentence.to_owned(),
@@ -99,7 +98,6 @@ impl From<&AxisRow> for ScalarRow {
 
 impl ScalarData<'_> {
     /// Rows of the points table.
-    #[must_use]
     pub fn rows(&self) -> Vec<ScalarRow> {
         match self {
             Self::Transducer(d) => d.rows.iter().map(Into::into).collect(),
@@ -108,7 +106,6 @@ impl ScalarData<'_> {
     }
 
     /// Rows of the sealed table, still sealed.
-    #[must_use]
     pub fn sealed(&self) -> Sealed<ScalarRow> {
         match self {
             Self::Transducer(d) => d.holdout.map(|row| row.into()),
@@ -117,7 +114,6 @@ impl ScalarData<'_> {
     }
 
     /// Kind as in `verify.json`.
-    #[must_use]
     pub fn kind(&self) -> &'static str {
         match self {
             Self::Transducer(_) => "transducer",
@@ -126,7 +122,6 @@ impl ScalarData<'_> {
     }
 
     /// Declared model.
-    #[must_use]
     pub fn declared(&self) -> Declared {
         match self {
             Self::Transducer(d) => Declared::Polynomial(match d.model {
@@ -139,7 +134,6 @@ impl ScalarData<'_> {
     }
 
     /// Names of further covariates.
-    #[must_use]
     pub fn covariate_names(&self) -> Vec<String> {
         match self {
             Self::Transducer(d) => d.covariates.clone(),
@@ -148,7 +142,6 @@ impl ScalarData<'_> {
     }
 
     /// Units of stimulus and response.
-    #[must_use]
     pub fn units(&self) -> (String, String) {
         match self {
             Self::Transducer(d) => (d.stimulus_unit.clone(), d.response_unit.clone()),
@@ -227,7 +220,6 @@ fn all<T: Copy>(rows: &[ScalarRow], f: impl Fn(&ScalarRow) -> Option<T>) -> Opti
 
 impl Scaling {
     /// Normalisation by the rows to be fitted.
-    #[must_use]
     pub fn of(rows: &[ScalarRow]) -> Self {
         let [lo, hi] = range(rows.iter().map(|r| r.x));
         let time = all(rows, |r| r.t_s).map(|t| range(t.into_iter())).filter(|[a, b]| b > a);
@@ -254,7 +246,6 @@ impl Scaling {
     }
 
     /// The same with the places of an axis.
-    #[must_use]
     pub fn with_places(self, rows: &[ScalarRow]) -> Self {
         let mut x: Vec<f64> = rows.iter().map(|r| r.x).collect();
         x.sort_by(f64::total_cmp);
@@ -292,7 +283,6 @@ fn directions(rows: &[ScalarRow], least: usize) -> Option<Vec<f64>> {
 }
 
 /// Way of the stimulus at each row, by the order of the table: a place that is read twice at a turn is read once on either way.
-#[must_use]
 pub fn ways(rows: &[ScalarRow]) -> Vec<f64> {
     let step = |k: usize| rows.get(k + 1).map_or(0.0, |next| next.x - rows[k].x);
     let mut out = vec![0.0; rows.len()];
@@ -319,13 +309,11 @@ fn groups(rows: &[ScalarRow]) -> Vec<u32> {
 
 impl Frame {
     /// Frame of `rows`, normalised by `scaling`.
-    #[must_use]
     pub fn new(rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared) -> Self {
         Self::build(rows, scaling, declared, false)
     }
 
     /// Frame of rows for prediction alone, `y` unused.
-    #[must_use]
     pub fn of_new_rows(rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared) -> Self {
         Self::build(rows, scaling, declared, true)
     }
@@ -367,20 +355,17 @@ impl Frame {
     }
 
     /// Places of a table of errors in half ranges.
-    #[must_use]
     pub fn places(&self) -> Vec<f64> {
         let half = if self.scaling.half > 0.0 { self.scaling.half } else { 1.0 };
         self.scaling.places.iter().map(|x| (x - self.scaling.mid) / half).collect()
     }
 
     /// The declared model has a term in the stimulus, so an effect may act on the stimulus.
-    #[must_use]
     pub fn sloped(&self) -> bool {
         self.declared != Declared::Polynomial(0)
     }
 
     /// Distinct stimuli.
-    #[must_use]
     pub fn levels(&self) -> usize {
         let mut x: Vec<f64> = self.u.clone();
         x.sort_by(f64::total_cmp);
@@ -389,14 +374,12 @@ impl Frame {
     }
 
     /// Time where it is known, else the order.
-    #[must_use]
     pub fn clock(&self) -> &[f64] {
         self.time.as_deref().unwrap_or(&self.order)
     }
 }
 
 /// Correlation of two covariates.
-#[must_use]
 pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let n = a.len() as f64;
     let (ma, mb) = (a.iter().sum::<f64>() / n, b.iter().sum::<f64>() / n);

@@ -42,7 +42,6 @@ impl ScalarSystem {
     }
 
     /// Splits what a fit leaves by its replicates.
-    #[must_use]
     pub fn pure_error(&self, h: &Hypothesis) -> Option<LackOfFit> {
         let parameters = h.fit.design.ncols() + h.fit.tangents.len();
         let residual: Vec<f64> = h.fit.residual.column(0).iter().copied().collect();

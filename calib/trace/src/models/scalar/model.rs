@@ -197,7 +197,6 @@ impl ScalarModel {
     }
 
     /// The model of an accepted explanation; `polynomial` and lack of fit are carried for the reader.
-    #[must_use]
     pub fn of(
         system: &ScalarSystem,
         accepted: &Hypothesis,
@@ -430,7 +429,6 @@ const PLACES: usize = 64;
 
 impl SpreadLaw {
     /// The scale on which the logarithm of the spread is a straight line.
-    #[must_use]
     pub fn scale(self, frame: &Frame) -> Vec<f64> {
         match self {
             Self::Power => frame.rows.iter().map(|r| r.x.max(1e-300).ln()).collect(),

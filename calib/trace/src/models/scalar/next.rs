@@ -11,7 +11,6 @@ const MAX_REPEATS: usize = 10;
 
 /// Repetitions after which the nearest rival falls behind the limit with 90 % probability: what the two fits predict differs by d noise
 /// standard deviations in norm, and grows with the root of the repetitions.
-#[must_use]
 pub fn next_measurement(
     system: &ScalarSystem,
     best: &Hypothesis,

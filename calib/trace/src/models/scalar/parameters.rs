@@ -11,7 +11,6 @@ use nalgebra::DMatrix;
 use wcal_core::verify_document::EffectParameter;
 
 /// Joint covariance of coefficients and nonlinear values.
-#[must_use]
 pub fn covariance(fit: &Fit) -> DMatrix<f64> {
     inference::covariance(fit, fit.variance())
 }
@@ -28,7 +27,6 @@ pub struct Names {
 }
 
 /// A unit over others with their powers: "V/kPa^2", "um/(1/m)". Quantities without a unit ("1") leave no trace, so that 1/1^2 is 1.
-#[must_use]
 pub fn ratio(numerator: &str, denominators: &[(&str, i32)]) -> String {
     let plain = |unit: &str| matches!(unit.trim(), "" | "1");
     let whole = |unit: &str| {
@@ -49,7 +47,6 @@ pub fn ratio(numerator: &str, denominators: &[(&str, i32)]) -> String {
 }
 
 /// A catalogue value (see `effects`) in the session's units. `law` chooses the covariate of `cross-axis`.
-#[must_use]
 pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names) -> (f64, String) {
     let s = &frame.scaling;
     let half = if s.half > 0.0 { s.half } else { 1.0 };
@@ -95,7 +92,6 @@ fn ordered([a, b]: [f64; 2]) -> [f64; 2] {
 }
 
 /// Parameters of one effect of a fit, in the session's units, with 95 % intervals.
-#[must_use]
 pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names) -> Vec<EffectParameter> {
     let covariance = covariance(fit);
     let q = fit.design.ncols();

@@ -37,7 +37,6 @@ fn residual(y: f64, powers: &[f64], b: &[f64]) -> f64 {
 }
 
 /// Fits a polynomial of `degree` with weights (1 / relative sd). None with too few readings or too few different stimuli.
-#[must_use]
 pub fn polynomial(x: &[f64], y: &[f64], weights: &[f64], degree: usize) -> Option<Polynomial> {
     let n = weights.iter().filter(|w| **w > 0.0).count();
     let q = degree + 1;

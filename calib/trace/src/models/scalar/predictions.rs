@@ -34,7 +34,6 @@ const BLOCKS: usize = 10;
 const NEIGHBOURS_LEVEL: f64 = 0.01;
 
 /// Neighbours in a session whose order is known share what the accepted model leaves (lag-one correlation).
-#[must_use]
 pub fn follows_neighbours(system: &ScalarSystem, accepted: &Hypothesis) -> bool {
     if !system.frame.ordered || system.frame.rows.len() < 2 * BLOCKS {
         return false;
@@ -50,7 +49,6 @@ pub fn follows_neighbours(system: &ScalarSystem, accepted: &Hypothesis) -> bool 
 }
 
 /// Cycles where there are three, else what `grouping` asks for.
-#[must_use]
 pub fn folds(frame: &Frame, grouping: Grouping) -> Folds {
     let of = |split, words, fold: Vec<usize>| Folds {
         split,
@@ -118,7 +116,6 @@ pub struct Fitted {
 
 impl Fitted {
     /// Takes it from a fit.
-    #[must_use]
     pub fn of(fit: &Fit) -> Self {
         Self {
             terms: fit.terms.clone(),
@@ -132,7 +129,6 @@ impl Fitted {
 
 /// Predictions of a fit, and half widths of their 95 % intervals, on the rows of `system`. `noise_sd`: of each reading. None where the
 /// design has no solution there or is not the one that was fitted.
-#[must_use]
 pub fn predict(system: &ScalarSystem, fitted: &Fitted, noise_sd: &[f64]) -> Option<(DVector<f64>, Vec<f64>)> {
     let design = system.design(&fitted.terms)?;
     let coefficients = DVector::from_column_slice(&fitted.coefficients);

@@ -26,7 +26,6 @@ pub const UNSTEADY: f64 = 3.0;
 const MIN_HALF: usize = 15;
 
 /// Refits the accepted explanation on each half, in the order of its variable. None without a periodic effect.
-#[must_use]
 pub fn stationarity(system: &ScalarSystem, h: &Hypothesis) -> Option<Stationarity> {
     let place = h.fit.terms.iter().position(|t| system.catalogue()[t.effect].id() == PERIODIC)?;
     let term = &h.fit.terms[place];

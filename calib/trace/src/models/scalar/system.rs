@@ -61,7 +61,6 @@ pub struct ScalarSystem {
 }
 
 /// Standard deviation of the noise at every row of `frame`, in units of that at `centre`, by a law of the spread.
-#[must_use]
 pub fn relative_sd_at(frame: &Frame, law: SpreadLaw, exponent: f64, centre: f64) -> Vec<f64> {
     law.scale(frame).iter().map(|v| (exponent * (v - centre)).exp()).collect()
 }
@@ -71,7 +70,6 @@ const FAR: f64 = 1e5;
 
 impl ScalarSystem {
     /// System of a frame; `covariate_names` belong to the rows' further covariates.
-    #[must_use]
     pub fn new(frame: Frame, covariate_names: &[String]) -> Self {
         let effects = effects::scalar_catalogue(&frame, covariate_names);
         let catalogue = effects.iter().map(|e| e.clone() as Arc<dyn Effect>).collect();
@@ -101,14 +99,12 @@ impl ScalarSystem {
     }
 
     /// With the session's names, and every reading of its points table.
-    #[must_use]
     pub fn of_session(mut self, names: Names, points: Vec<ScalarRow>) -> Self {
         (self.names, self.points) = (names, Arc::new(points));
         self
     }
 
     /// The same effects seen on every row of the session, unsealed ones behind the others; far offset and law of the spread kept.
-    #[must_use]
     pub fn with_unsealed(&self, unsealed: &[ScalarRow]) -> Self {
         let mut unsealed = unsealed.to_vec();
         // They go on behind, unless the clock says otherwise.
@@ -134,7 +130,6 @@ impl ScalarSystem {
     }
 
     /// The same rows seen from another far point.
-    #[must_use]
     pub fn with_offset(mut self, offset: f64) -> Self {
         self.measured.add_scalar_mut(offset - self.offset);
         self.offset = offset;
@@ -142,7 +137,6 @@ impl ScalarSystem {
     }
 
     /// The same rows whose noise has this trend.
-    #[must_use]
     pub fn with_spread(mut self, spread: Spread) -> Self {
         self.weights = spread.relative_sd.iter().map(|sd| 1.0 / sd).collect();
         self.spread = Some(spread);
@@ -150,7 +144,6 @@ impl ScalarSystem {
     }
 
     /// The same rows with equal noise.
-    #[must_use]
     pub fn without_spread(mut self) -> Self {
         self.weights.fill(1.0);
         self.spread = None;
@@ -158,37 +151,31 @@ impl ScalarSystem {
     }
 
     /// The effects with their hooks.
-    #[must_use]
     pub fn effects(&self) -> &[Arc<dyn ScalarEffect>] {
         &self.effects
     }
 
     /// Trend of the spread, where one was found.
-    #[must_use]
     pub fn spread(&self) -> Option<&Spread> {
         self.spread.as_ref()
     }
 
     /// By which names the session calls things.
-    #[must_use]
     pub fn names(&self) -> &Names {
         &self.names
     }
 
     /// Rows that were sealed.
-    #[must_use]
     pub fn sealed_rows(&self) -> &[bool] {
         &self.sealed
     }
 
     /// Readings of the points table.
-    #[must_use]
     pub fn points(&self) -> usize {
         self.points.len()
     }
 
     /// What is added to every measured value inside the system (0 for transducers).
-    #[must_use]
     pub fn offset(&self) -> f64 {
         self.offset
     }

@@ -24,7 +24,6 @@ fn index(system: &ScalarSystem) -> Option<usize> {
 }
 
 /// An explanation that holds the table.
-#[must_use]
 pub fn has_table(system: &ScalarSystem, h: &Hypothesis) -> bool {
     h.fit.terms.iter().any(|t| Some(t.effect) == index(system))
 }
@@ -116,7 +115,6 @@ fn earns(plain: &Fit, rich: &Fit) -> bool {
 }
 
 /// The table's deviations by place and direction with 95 % intervals, as measured less commanded.
-#[must_use]
 pub fn deviations(system: &ScalarSystem, fit: &Fit) -> Vec<EffectParameter> {
     let Some(effect) = index(system) else { return Vec::new() };
     let linear = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();

@@ -31,7 +31,6 @@ const GAP_RATIO: f64 = 3.0;
 
 /// Number of the pose of each reading: equal for readings that agree in trajectory, direction, speed and seating, and in position within a
 /// tolerance that follows from the positions themselves (repeated poses cluster: gaps within a cluster are far smaller than between).
-#[must_use]
 pub fn poses(readings: &[Reading]) -> Vec<usize> {
     let mut approaches: BTreeMap<(u32, u32, bool, i64, i64), Vec<usize>> = BTreeMap::new();
     for (i, r) in readings.iter().enumerate() {
@@ -93,7 +92,6 @@ fn within_poses(system: &WhiskerSystem, h: &Hypothesis, inputs: &NoiseInputs, re
 
 /// The floor under the noise of the accepted model. `left`: something is left that the model does not explain, so its residuals are no noise
 /// and only replicates tell the floor.
-#[must_use]
 pub fn noise_floor(system: &WhiskerSystem, h: &Hypothesis, noise: &Noise, left: bool) -> Option<Floor> {
     let inputs = system.noise_inputs();
     let readings = &system.path.readings;
@@ -120,7 +118,6 @@ pub fn noise_floor(system: &WhiskerSystem, h: &Hypothesis, noise: &Noise, left: 
 
 impl Floor {
     /// What a reader must know of it; none where loaded poses were repeated.
-    #[must_use]
     pub fn remark(&self) -> Option<String> {
         if self.source == "replicates" {
             return None;

@@ -173,7 +173,6 @@ fn through(
 
 /// Through sensitivity and accepted effects; none where the sensitivity cannot be inverted or the wire cannot be bent. Rows without a stage
 /// position would take theirs from the groove's place: the system must have none.
-#[must_use]
 pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveMotion> {
     let (SensedReadings { wire, changed, readings: sensed }, xs_mm) =
         through(&system.path, &|rod| system.rod_tables.rod(rod), model)?;
@@ -189,7 +188,6 @@ pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveM
 }
 
 /// Readings of a path without a stage, of a wire in air; as [`of_model`].
-#[must_use]
 pub fn of_readings(
     path: &WhiskerPath,
     whisker: &WhiskerSpec,
@@ -217,7 +215,6 @@ fn nominal(rod: Rod) -> AcceptedWire {
 }
 
 /// Through a map of moments; its uncertainty is taken as common to all readings, one unknown for each moment.
-#[must_use]
 pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion> {
     let mut predictor = MapPredictor::new(map).ok()?;
     let xs: Vec<f64> = system.path.nodes.iter().map(|n| n.x_mm).collect();
@@ -229,7 +226,6 @@ pub fn of_map(system: &WhiskerSystem, map: &MapArtefact) -> Option<GrooveMotion>
 }
 
 /// Readings without a stage by their compensated shifts (pm); as [`of_map`].
-#[must_use]
 pub fn of_shifts(
     shifts_pm: impl Iterator<Item = [f64; 2]>,
     whisker: &WhiskerSpec,

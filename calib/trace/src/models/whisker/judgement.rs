@@ -30,7 +30,6 @@ fn chosen(system: &WhiskerSystem, only_sealed: bool) -> Vec<usize> {
 
 /// Through sensitivity and accepted effects; those that act on the pose act on the moments that it is judged by. None where the rod has no
 /// equilibrium at the poses.
-#[must_use]
 pub fn of_model(
     system: &WhiskerSystem,
     model: &PhysicalModel,
@@ -48,7 +47,6 @@ pub fn of_model(
 }
 
 /// Through a map of moments; none where it or the rod cannot be used.
-#[must_use]
 pub fn of_map(system: &WhiskerSystem, map: &MapArtefact, only_sealed: bool) -> Option<Vec<JudgedReading>> {
     let mut predictor = MapPredictor::new(map).ok()?;
     let (_, base) = system.moments(&[])?;

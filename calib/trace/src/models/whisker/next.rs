@@ -150,7 +150,6 @@ struct Evaluated {
 
 /// The poses that separate the best explanation from `rivals`, and the power expected from them: the chance that none of them
 /// survives where the best one is true (Bonferroni's lower bound).
-#[must_use]
 pub fn next_measurement(
     system: &WhiskerSystem,
     best: &Hypothesis,

@@ -102,7 +102,6 @@ pub struct WhiskerPath {
 
 impl WhiskerPath {
     /// One column a seating after the first, 1 at its readings: the zero of each seating is its own.
-    #[must_use]
     pub fn seating_columns(&self, seatings: u32) -> Vec<Vec<f64>> {
         let of = |k: u32| self.readings.iter().map(|r| f64::from(u8::from(r.seating == k))).collect();
         (1..seatings).map(of).collect()
@@ -119,7 +118,6 @@ const AVERAGED_ALIKE: f64 = 1.5;
 
 /// Variances that averages have by their numbers of samples, 1 for a typical settled loaded reading; empty where all are alike or a
 /// number is missing. Each reading: samples, loaded, settled.
-#[must_use]
 pub(crate) fn averaged(readings: &[(Option<u32>, bool, bool)]) -> Vec<f64> {
     let of = |settled: bool| -> Vec<f64> {
         let kept = readings.iter().filter(|r| r.1 && (r.2 || !settled));
@@ -140,13 +138,11 @@ pub(crate) fn averaged(readings: &[(Option<u32>, bool, bool)]) -> Vec<f64> {
 }
 
 /// The same of readings on a path.
-#[must_use]
 pub(crate) fn averaged_readings(readings: &[Reading]) -> Vec<f64> {
     averaged(&readings.iter().map(|r| (r.samples, !r.rest, r.dwell_s > 0.0)).collect::<Vec<_>>())
 }
 
 /// The temperature's walk over `rows`; none where they have no clock, no temperature, or it does not scatter.
-#[must_use]
 pub fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWalkModel> {
     let sizes: Vec<_> =
         rows.iter().map(|r| (r.samples, r.role != Role::Rest, r.dwell_s.is_some_and(|d| d > 0.0))).collect();
@@ -175,7 +171,6 @@ fn stage_position(row: &WhiskerRow, trajectory: Option<&Trajectory>) -> f64 {
 
 impl WhiskerPath {
     /// Builds the path of `rows` (points first, then sealed rows) in time order; with `walk` the temperature is freed of its noise.
-    #[must_use]
     pub fn new(
         rows: &[&WhiskerRow],
         trajectories: &[Trajectory],

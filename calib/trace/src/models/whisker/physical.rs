@@ -87,7 +87,6 @@ pub(super) const VALID_SHARE: f64 = 1.1;
 
 impl PhysicalModel {
     /// The model of an explanation.
-    #[must_use]
     pub fn new(system: &WhiskerSystem, h: &Hypothesis, noise_sd_pm: f64) -> Self {
         let fit = &h.fit;
         let effects = fit
@@ -128,7 +127,6 @@ impl PhysicalModel {
 
     /// With the correlated part of the readings' noise, where there is a clock to which it belongs; `noise_factor` goes from the engine's
     /// channels to pm.
-    #[must_use]
     pub fn with_correlated(self, noise: &Noise, noise_factor: f64, clock: bool) -> Self {
         let part = noise.correlated.as_ref().filter(|_| clock);
         let pose = noise.pose.map_or(0.0, |p| p.value);
@@ -141,7 +139,6 @@ impl PhysicalModel {
     }
 
     /// Sensitivity K, pm/(N mm): rows are channels.
-    #[must_use]
     pub fn sensitivity(&self) -> Matrix2<f64> {
         Matrix2::from_fn(|c, j| self.coefficients[j + 1][c])
     }
@@ -224,7 +221,6 @@ impl PhysicalModel {
     }
 
     /// The first accepted effect that needs a column which `path` lacks to infer moments, and that column.
-    #[must_use]
     pub fn missing_column(&self, path: &WhiskerPath) -> Option<(&str, &'static str)> {
         let lacks = |need: &LawRequirement| match need {
             LawRequirement::Temperature => {
@@ -271,13 +267,11 @@ impl PhysicalModel {
     /// poses are known (base less sensed, N mm); without it the effects run over the readings' own history.
     ///
     /// Memory is a small correction, so plain fixed-point iteration undoes it.
-    #[must_use]
     pub fn infer(&self, path: &WhiskerPath, memory: Option<&[[f64; 2]]>) -> Vec<Inferred> {
         self.infer_under(path, memory, &vec![self.noise_sd_pm; path.readings.len()])
     }
 
     /// The same where the noise of each reading is known, pm.
-    #[must_use]
     pub fn infer_under(
         &self,
         path: &WhiskerPath,

@@ -111,7 +111,6 @@ pub struct Pictures {
 
 impl Pictures {
     /// Pairs of the rows of `path`; none where there are none.
-    #[must_use]
     pub fn new(rows: &[WhiskerRow], path: &WhiskerPath, shapes: Option<&SessionShapes>) -> Option<Self> {
         let shapes = shapes?;
         let of_node: HashMap<usize, usize> =
@@ -156,7 +155,6 @@ impl Pictures {
     }
 
     /// The same pairs with `share` of the own errors that they state.
-    #[must_use]
     pub fn with_own_share(&self, share: f64) -> Self {
         let stretch = self.own_share / share;
         let smaller = |p: &Pair| Pair { whitening: &p.whitening * stretch, ..p.clone() };
@@ -171,43 +169,36 @@ impl Pictures {
     }
 
     /// Share of the stated own errors that counts.
-    #[must_use]
     pub fn own_share(&self) -> f64 {
         self.own_share
     }
 
     /// Pairs that have a row and no place here, and why.
-    #[must_use]
     pub fn left_out(&self) -> &[PairLeftOut] {
         &self.left_out
     }
 
     /// Pairs.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.pairs.len()
     }
 
     /// No pair.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.pairs.is_empty()
     }
 
     /// Distance of the contact from where it is seen that the stated covariances give, root mean square, mm.
-    #[must_use]
     pub fn contact_floor_mm(&self) -> f64 {
         (self.pairs.iter().map(|p| p.groove_mm2).sum::<f64>() / self.pairs.len().max(1) as f64).sqrt()
     }
 
     /// Reading of each value.
-    #[must_use]
     pub fn readings(&self) -> Arc<Vec<usize>> {
         self.readings.clone()
     }
 
     /// Node on the path of each pair.
-    #[must_use]
     pub fn nodes(&self) -> Vec<usize> {
         self.pairs.iter().map(|p| p.node).collect()
     }
@@ -218,7 +209,6 @@ impl Pictures {
     }
 
     /// Measured less predicted, white with unit variance; zero where the reading does not count.
-    #[must_use]
     pub fn whitened(&self, predicted: &[PairObservation], counts: impl Fn(usize) -> bool) -> DVector<f64> {
         let mut u = DVector::zeros(self.readings.len());
         for (pair, g) in self.pairs.iter().zip(predicted) {

@@ -33,7 +33,6 @@ pub struct Predictions {
 }
 
 /// All readings of `system` (points and holdout on one path) under `h`, fitted elsewhere, with the noise of each, pm; none where the model has no solution.
-#[must_use]
 pub fn predict(
     system: &WhiskerSystem,
     h: &Hypothesis,
@@ -63,7 +62,6 @@ pub fn predict(
 }
 
 /// Linear map on outside labels, fitted on the weighted readings.
-#[must_use]
 pub fn by_labels(system: &WhiskerSystem, moments: &[[f64; 2]], weights: &Weights) -> Option<Predictions> {
     let n = moments.len();
     let design = DMatrix::from_fn(n, 3, |i, j| if j == 0 { 1.0 } else { moments[i][j - 1] });

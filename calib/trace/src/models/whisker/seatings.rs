@@ -27,7 +27,6 @@ pub struct SeatingVariation {
 }
 
 /// Compares the seatings under `fit`; none with one seating, or where a K a seating cannot be fitted.
-#[must_use]
 pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVariation> {
     let count = system.seatings();
     let later = count as usize - 1;
@@ -84,7 +83,6 @@ fn pooled(sd: [f64; 2], dof: usize) -> Estimated {
 
 impl SeatingVariation {
     /// One line for the notes.
-    #[must_use]
     pub fn note(&self) -> String {
         let [a, b] = self.zero_sd_pm;
         let share = 100.0 * self.sensitivity_change;

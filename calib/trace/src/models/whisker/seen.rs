@@ -9,7 +9,6 @@ use wcal_rod::interpolated_point;
 
 impl WhiskerSystem {
     /// What the pairs would show under `terms`, in their order; none where the model has no solution.
-    #[must_use]
     pub fn seen(&self, terms: &[EffectTerm]) -> Option<Vec<PairObservation>> {
         let Some(pictures) = &self.pictures else { return Some(Vec::new()) };
         let active = self.active(terms);
@@ -48,33 +47,28 @@ impl WhiskerSystem {
     }
 
     /// The pairs that count together with the wavelengths.
-    #[must_use]
     pub fn pictures(&self) -> Option<&Pictures> {
         self.pictures.as_deref()
     }
 
     /// The same readings with pictures whose stated standard deviation weighs as much as `sd` of a reading, in the engine's channels.
-    #[must_use]
     pub fn with_picture_scale(mut self, sd: f64) -> Self {
         self.picture_scale = sd;
         self
     }
 
     /// The same readings with pictures of which `share` of the stated own errors counts.
-    #[must_use]
     pub fn with_own_share(mut self, share: f64) -> Self {
         self.pictures = self.pictures.map(|p| Arc::new(p.with_own_share(share)));
         self
     }
 
     /// What a stated standard deviation of the pictures weighs, in the engine's channels.
-    #[must_use]
     pub fn picture_scale(&self) -> f64 {
         self.picture_scale
     }
 
     /// The same readings without the pictures.
-    #[must_use]
     pub fn without_pictures(mut self) -> Self {
         self.pictures = None;
         self

@@ -68,7 +68,6 @@ pub struct PhysicalStream {
 
 impl PhysicalStream {
     /// Ready for the first reading; `None` where the sensitivity cannot be inverted.
-    #[must_use]
     pub fn new(model: PhysicalModel) -> Option<Self> {
         let inverse = model.sensitivity().try_inverse()?;
         let effects = EffectMemories::new(model.terms());

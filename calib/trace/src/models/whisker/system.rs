@@ -81,7 +81,6 @@ impl WhiskerSystem {
     }
 
     /// The same rod with other rows, none deeper than those that it was made for, and without pictures.
-    #[must_use]
     pub fn with_rows(&self, rows: &[&WhiskerRow]) -> Self {
         Self::assemble(
             &self.data,
@@ -96,7 +95,6 @@ impl WhiskerSystem {
     }
 
     /// The same system without effects that another measurement of the instrument refutes, by identifier.
-    #[must_use]
     pub fn without(self, refuted: &[String]) -> Self {
         Self { refuted: refuted.into(), ..self }
     }
@@ -210,7 +208,6 @@ impl WhiskerSystem {
     }
 
     /// Effective moments at the readings, N mm, memory included, and the base moments before it.
-    #[must_use]
     pub fn moments(&self, terms: &[EffectTerm]) -> Option<(Moments, Moments)> {
         let path = &self.path;
         let active = self.active(terms);
@@ -231,7 +228,6 @@ impl WhiskerSystem {
     /// Both gratings are compensated with one reference reading, so its noise, `k_T` times the temperature's, is in both: their covariance
     /// is `s^2 I + k_T k_T' s_T^2`. Across `k_T` nothing is shared, which gives `s`; the temperature's walk gives `s_T`. K, zero and every
     /// column have coefficients of their own in each channel, so a mixture of channels is the same model.
-    #[must_use]
     pub fn whitened(self, fit: &Fit) -> Self {
         let whitening = self.shared_noise(fit).unwrap_or_else(Matrix2::identity);
         self.in_channels(whitening)
@@ -246,20 +242,17 @@ impl WhiskerSystem {
     }
 
     /// The same readings with the stage's clock set by `stage_clock_s`.
-    #[must_use]
     pub(super) fn with_stage_clock(mut self, stage_clock_s: f64) -> Self {
         self.stage_clock_s = stage_clock_s;
         self
     }
 
     /// By how much the stage's clock is set, s.
-    #[must_use]
     pub fn stage_clock_s(&self) -> f64 {
         self.stage_clock_s
     }
 
     /// Readings were recorded while the stage moved, each the average of a short window.
-    #[must_use]
     pub(super) fn is_read_in_motion(&self) -> bool {
         self.path.columns.speeds && !averaged_readings(&self.path.readings).is_empty()
     }
@@ -278,7 +271,6 @@ impl WhiskerSystem {
     }
 
     /// The same readings in the channels of `other`, its pictures weighed alike.
-    #[must_use]
     pub fn with_whitening_of(self, other: &Self) -> Self {
         let share = other.pictures.as_ref().map_or(1.0, |p| p.own_share());
         self.in_channels(other.whitening)
@@ -288,44 +280,37 @@ impl WhiskerSystem {
     }
 
     /// Difference of two systems' mixtures of channels: largest ratio of their shared noise.
-    #[must_use]
     pub fn whitening_change(&self, other: &Self) -> f64 {
         let (a, b) = (self.whitening.determinant(), other.whitening.determinant());
         (a / b).max(b / a)
     }
 
     /// Standard deviation of one compensated shift under `fit`, pm: mean of both gratings.
-    #[must_use]
     pub fn noise_sd_pm(&self, fit: &Fit) -> f64 {
         (fit.variance() * self.whitening.norm_squared() / 2.0).sqrt()
     }
 
     /// From the noise in the engine's channels to that of a compensated shift, pm: mean of both gratings.
-    #[must_use]
     pub fn noise_factor(&self) -> f64 {
         (self.whitening.norm_squared() / 2.0).sqrt()
     }
 
     /// Seatings in the points table.
-    #[must_use]
     pub fn seatings(&self) -> u32 {
         self.seatings
     }
 
     /// The row of a reading.
-    #[must_use]
     pub fn row(&self, reading: usize) -> &WhiskerRow {
         &self.rows[self.path.rows[reading]]
     }
 
     /// Readings whose rows were sealed, and those of them that count in the held-out error.
-    #[must_use]
     pub fn held_out(&self) -> [&[bool]; 2] {
         [&self.sealed, &self.scored]
     }
 
     /// The effects with their hooks.
-    #[must_use]
     pub fn effects(&self) -> &[Arc<dyn WhiskerEffect>] {
         &self.effects
     }

@@ -32,7 +32,6 @@ fn bracket(x: f64, len: usize) -> (usize, [f64; 4]) {
 
 impl LineTable {
     /// Moment components at stage position `x_mm`, N mm; none past the end of the branch.
-    #[must_use]
     pub fn moment(&self, x_mm: f64) -> Option<[f64; 2]> {
         if x_mm <= self.touch_mm {
             return Some([0.0; 2]);
@@ -51,7 +50,6 @@ impl LineTable {
     }
 
     /// Contact arc length at stage position `x_mm`, mm.
-    #[must_use]
     pub fn arclength(&self, x_mm: f64) -> f64 {
         let x = x_mm.clamp(self.touch_mm, self.end_mm);
         let (j, w) = bracket((x - self.touch_mm) / self.step_mm, self.arclength_mm.len());

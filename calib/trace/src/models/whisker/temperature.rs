@@ -42,7 +42,6 @@ fn steps_s(t_s: &[f64]) -> Vec<f64> {
 impl RandomWalkModel {
     /// The walk of `values` at times `t_s` (s, rising), `variances` those of their noise, 1 for a typical one; none where they are too few
     /// or do not scatter.
-    #[must_use]
     pub fn of(t_s: &[f64], values: &[f64], variances: &[f64]) -> Option<Self> {
         let mut steps = steps_s(t_s);
         steps.sort_by(f64::total_cmp);
@@ -65,7 +64,6 @@ impl RandomWalkModel {
     }
 
     /// Standard deviation of a typical reading's noise, in the readings' unit.
-    #[must_use]
     pub fn noise_sd(&self) -> f64 {
         self.noise_sd
     }
@@ -91,7 +89,6 @@ impl RandomWalkModel {
     }
 
     /// Levels at the readings.
-    #[must_use]
     pub fn smooth(&self, t_s: &[f64], values: &[f64], variances: &[f64]) -> Vec<Level> {
         if values.is_empty() {
             return Vec::new();

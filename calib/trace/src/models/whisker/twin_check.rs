@@ -47,7 +47,6 @@ const SMOOTH_SHARE: f64 = 0.03;
 const UNIT_RATIO: f64 = 5.0;
 
 /// Checks every label of the session.
-#[must_use]
 pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTables) -> LabelReport {
     let Some(tables) = rod_tables.tables(&crate::whisker::rod_parameters::RodParameters::default()) else {
         return LabelReport::default();
@@ -168,7 +167,6 @@ fn collect(checks: &[LabelCheck], ratio: f64) -> Vec<TwinFault> {
 }
 
 /// Moments at the readings of `path` with the outside labels as they are: none where a reading has no label.
-#[must_use]
 pub fn labelled_moments(data: &WhiskerData, path: &WhiskerPath) -> Option<Vec<[f64; 2]>> {
     path.rows
         .iter()

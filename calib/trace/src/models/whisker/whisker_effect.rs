@@ -74,25 +74,21 @@ pub struct ActiveEffect {
 
 impl ActiveEffect {
     /// `term` of a catalogue's effect.
-    #[must_use]
     pub fn new(effect: Arc<dyn WhiskerEffect>, term: EffectTerm) -> Self {
         Self { law: effect.law(term.law), effect, term }
     }
 
     /// What its law needs of a session.
-    #[must_use]
     pub fn needs(&self) -> &[LawRequirement] {
         &self.law.needs
     }
 
     /// Its place in the catalogue.
-    #[must_use]
     pub fn place(&self) -> usize {
         self.term.effect
     }
 
     /// Its place in the catalogue, law and values.
-    #[must_use]
     pub fn into_term(self) -> EffectTerm {
         self.term
     }
@@ -103,7 +99,6 @@ impl ActiveEffect {
     }
 
     /// Values of its parameters, by name.
-    #[must_use]
     pub fn values(&self) -> Values<'_> {
         Values::new(&self.law, self.term.law, &self.term.values)
     }

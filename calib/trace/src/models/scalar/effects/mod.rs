@@ -35,7 +35,6 @@ pub const ERROR_TABLE: &str = "error-table";
 pub const PERIODIC: &str = "periodic";
 
 /// Every effect of docs/src/formats.md for kinds "transducer" and "axis".
-#[must_use]
 pub fn scalar_catalogue(frame: &Frame, covariate_names: &[String]) -> Vec<Arc<dyn ScalarEffect>> {
     vec![
         Arc::new(scale::Scale { sloped: frame.sloped() }),

@@ -29,7 +29,6 @@ use crate::whisker::WhiskerEffect;
 use std::sync::Arc;
 
 /// Every effect of docs/src/formats.md for kind "whisker".
-#[must_use]
 pub fn whisker_catalogue() -> Vec<Arc<dyn WhiskerEffect>> {
     vec![
         Arc::new(groove_friction::GrooveFriction),

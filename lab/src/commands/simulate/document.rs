@@ -18,8 +18,11 @@ use wcal_sim::rod_engine::LINKS;
 
 /// What the summary warns of.
 pub struct Faults {
+    /// Objects that are left out.
     pub left_out: Vec<String>,
+    /// Remarks on meshes.
     pub notes: Vec<String>,
+    /// What is not there.
     pub missing: Vec<String>,
 }
 
@@ -125,12 +128,14 @@ pub struct DatasetDocument {
     /// What the paper's whole set would take at this rate, processor hours.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub core_h_per_15600_sweeps: Option<f64>,
+    /// What MuJoCo's sweeps get wrong.
     #[serde(flatten)]
     pub twin: Twin,
     /// What made the document.
     pub provenance: Provenance,
 }
 
+/// Sweeps over an object.
 #[derive(Debug, Serialize, JsonSchema)]
 pub struct ObjectRow {
     /// Sweeps.
@@ -146,6 +151,7 @@ pub struct ObjectRow {
 /// Sweeps of the paper's set: 78 objects, 200 each.
 const PAPER_SWEEPS: f64 = 15_600.0;
 
+/// The document of a dataset.
 pub fn document(
     args: &SimulateArgs,
     dataset: &Dataset,
@@ -202,6 +208,7 @@ pub fn document(
     }
 }
 
+/// The same for people.
 pub fn print(document: &DatasetDocument, totals: &BTreeMap<String, Total>) {
     println!("{:<32} {:>7} {:>7}  rejected", "object (SIMULATED)", "sweeps", "kept");
     for (name, total) in totals {

@@ -107,7 +107,7 @@ pub fn run(o: &ExamArgs) -> anyhow::Result<ExitCode> {
         write(path, &document)?;
     }
     if let Some(path) = &o.record {
-        write(path, &record(&o, outcomes.len(), &table, &noises)?)?;
+        write(path, &record(o, outcomes.len(), &table, &noises)?)?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -223,7 +223,7 @@ impl BenchEvaluator<'_> {
         meshes: &Meshes,
     ) -> Result<Vec<ObjectScores>, LabError> {
         let run = |c: &SweepSeries| Method::Network(self.tracker, true).run(c);
-        Ok(score_objects(&run, all_series, meshes)?)
+        score_objects(&run, all_series, meshes)
     }
 }
 

@@ -42,7 +42,7 @@ impl BenchEvaluator<'_> {
         let tracker = self.on_stream(by);
         let measured = self.measured(bench, by, true_series, Noise::Gaussian)?;
         let run = |c: &SweepSeries| Method::Network(&tracker, true).run(c);
-        Ok(score_objects(&run, &measured, meshes)?)
+        score_objects(&run, &measured, meshes)
     }
 
     fn measured(

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 const MIN_RUN: usize = 6;
 /// Pairs of repeats outside the runs that tell whether repeats agree, and the share that may.
 const MIN_PAIRS: usize = 5;
-const MAX_AGREEING: f64 = 0.1;
+const MAX_AGREEING: f64 = 0.25;
 /// Longer tables come from programs, which paste nothing.
 const MAX_ROWS: usize = 20_000;
 /// A gauge with no more steps over what was read is coarse: its repeats agree. 12 bits.
@@ -27,12 +27,17 @@ pub(crate) struct Row {
 
 /// Places of the rows that are copies, ascending.
 pub(crate) fn copies(rows: &[Row]) -> Vec<usize> {
-    let mut seen: HashMap<Vec<u64>, usize> = HashMap::new();
+    let content = |row: &Row| -> Vec<u64> {
+        row.setting.iter().chain([&row.reading]).chain(&row.more).map(|v| v.to_bits()).collect()
+    };
+    let contents: Vec<Vec<u64>> = rows.iter().map(content).collect();
+    let (mut seen, mut last) = (HashMap::new(), None);
     let repeat = |(k, row): (usize, &Row)| {
-        let content =
-            row.setting.iter().chain([&row.reading]).chain(&row.more).map(|v| v.to_bits()).collect();
-        let first = *seen.entry(content).or_insert(k);
-        let known = (first < k).then_some(first);
+        let first = *seen.entry(&contents[k]).or_insert(k);
+        // A run goes on although one of its rows agrees with another by chance.
+        let next = last.map(|l: usize| l + 1).filter(|n| *n < k && contents[*n] == contents[k]);
+        let known = next.or((first < k).then_some(first));
+        last = known;
         (known, known.is_some_and(|first| row.t_s.is_some() && row.t_s == rows[first].t_s))
     };
     let found = repeated(&rows.iter().enumerate().map(repeat).collect::<Vec<_>>());

@@ -50,9 +50,8 @@ const DOUBTFUL: f64 = 3.0;
   wcal fit-whisker shapes/shapes.json --rig rig.toml --moments session --out whisker
   wcal fit-whisker shapes/shapes.json --rig rig.toml --dynamics --ring-down release.csv --out whisker
 
-The keys of [whisker] in whisker.toml are those of session.toml. The standard deviations hold what differs between shapes and, where
-shapes.json states them (shared_errors), the errors that all shapes share: cameras, light across the wire, form of its end. whisker.xml is the wire as a MuJoCo model (40 links, nominal NiTi stiffness, a
-damping of 0.02 s and a hard contact unless --dynamics fits them: dynamics.csv then holds every trial). Exit code 3: fitted, with shapes left out or residuals past what is stated.")]
+The keys of [whisker] in whisker.toml are those of session.toml; whisker.xml is the wire as a MuJoCo model.
+Exit code 3: fitted, with shapes left out or residuals past what is stated.")]
 pub struct FitWhiskerArgs {
     /// Shapes by `wcal stereo-shape`
     pub shapes: PathBuf,
@@ -62,8 +61,8 @@ pub struct FitWhiskerArgs {
     /// Session whose twin.csv holds known base moments at its poses: fits Young's modulus too
     #[arg(long, value_name = "SESSION")]
     pub moments: Option<PathBuf>,
-    /// Model of the rest shape
-    #[arg(long, value_enum, default_value = "best")]
+    /// Rest shape: best (by BIC), straight-arc or free-curvature
+    #[arg(long, value_enum, default_value = "best", hide_possible_values = true)]
     pub rest: RestChoice,
     /// Damping and contact
     #[command(flatten)]

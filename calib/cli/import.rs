@@ -18,17 +18,17 @@ use wcal_session::{Separator, SessionFiles, TextTable, TextTableLayout, read_tex
 /// Arguments of `wcal import`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  wcal import cell.csv --kind transducer --stimulus load_n --response out_v --model linear --out cell
-  wcal import stage.csv --kind axis --commanded cmd_mm --measured 'laser_um*0.001' --time t_s --out axis-x
+  wcal import cell.csv --kind transducer --stimulus load_n --response out_v --model linear \\
+      --out cell
+  wcal import stage.csv --kind axis --commanded cmd_mm --measured 'laser_um*0.001' --out axis-x
 
-COL is a column of the table; 'COL*FACTOR' multiplies it (t_ms*0.001, way*-1).
-Any column of the session by its name: --covariate groove_x_mm=gx. Errors of an axis, measured less commanded, in place of positions:
---covariate error_um=deviation (or error_mm, error_in). A file SIMULATED beside the table marks all that is made of it.")]
+'COL*FACTOR' multiplies a column. Errors of an axis in place of positions: --covariate error_um=COL (or error_mm, error_in).
+A file SIMULATED beside the table marks all that is made of it.")]
 pub struct ImportArgs {
     /// Table to import (CSV, or text in columns)
     pub file: PathBuf,
-    /// Kind of the session
-    #[arg(long, value_enum)]
+    /// transducer, axis, whisker (in a V-groove) or sweep (past an object)
+    #[arg(long, value_enum, hide_possible_values = true)]
     pub kind: Kind,
     /// Folder of the new session
     #[arg(long, value_name = "SESSION")]
@@ -36,27 +36,26 @@ pub struct ImportArgs {
     /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
-    /// Log of the base's poses, or of the object's way (sweep): CSV with t_s and base_x_mm .. base_z_mm, or object_x_mm ..
+    /// Log with t_s and base_x_mm .. base_z_mm, or object_x_mm .. (sweep)
     #[arg(long, value_name = "LOG", required_if_eq("kind", "sweep"))]
     pub motion: Option<PathBuf>,
     /// Mesh of the object (sweep)
     #[arg(long, value_name = "STL")]
     pub object: Option<PathBuf>,
-    /// Where the mesh of a sweep lies in the frame of the base's poses (the base frame at the start of the sweep): place (mm) and unit
-    /// quaternion
-    #[arg(long, value_name = "X,Y,Z,QW,QX,QY,QZ", value_delimiter = ',', allow_hyphen_values = true)]
+    /// X,Y,Z (mm),QW,QX,QY,QZ of the mesh in the frame of the base's poses
+    #[arg(long, value_name = "POSE", value_delimiter = ',', allow_hyphen_values = true)]
     pub object_pose: Option<Vec<f64>>,
     /// Table of sealed readings with the same layout
     #[arg(long, value_name = "FILE")]
     pub holdout: Option<PathBuf>,
 
-    /// Column of the stimulus (transducer); without it the number of the observation, for --model constant only
+    /// Column of the stimulus (transducer); --model constant does without
     #[arg(long, value_name = "COL")]
     pub stimulus: Option<String>,
     /// Column of the response (transducer)
     #[arg(long, value_name = "COL", required_if_eq("kind", "transducer"))]
     pub response: Option<String>,
-    /// Declared model: constant, linear or quadratic (transducer), or a file with [whisker], [fbg], [moments] and [[trajectory]] (whisker)
+    /// constant, linear, quadratic (transducer), or WHISKER.toml (whisker)
     #[arg(long, value_name = "MODEL", value_parser = declared, required_if_eq_any([("kind", "transducer"), ("kind", "whisker")]))]
     pub model: Option<Declared>,
     /// Unit of the stimulus (transducer)
@@ -65,7 +64,7 @@ pub struct ImportArgs {
     /// Unit of the response (transducer)
     #[arg(long, value_name = "UNIT", default_value = "1")]
     pub response_unit: String,
-    /// Further column, as COL or NAME=COL with its name in the session; may be repeated
+    /// Further column, with its name in the session; may be repeated
     #[arg(long = "covariate", value_name = "NAME=COL")]
     pub covariates: Vec<String>,
     /// Column of the commanded position (axis)
@@ -94,14 +93,14 @@ pub struct ImportArgs {
     #[arg(long, value_name = "COL")]
     pub role: Option<String>,
 
-    /// Lines before the table (25 for NIST Dataplot files, 60 for NIST StRD files)
+    /// Lines before the table (NIST Dataplot 25, StRD 60)
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub skip_lines: usize,
-    /// Names of the columns, in order, for a table without a header line
+    /// Names of the columns, where there is no header line
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub columns: Option<Vec<String>>,
-    /// What stands between fields
-    #[arg(long, value_enum, default_value_t = SeparatorName::Comma)]
+    /// comma, semicolon, tab or whitespace
+    #[arg(long, value_enum, default_value_t = SeparatorName::Comma, hide_possible_values = true)]
     pub separator: SeparatorName,
     /// Short for --separator whitespace
     #[arg(long, conflicts_with = "separator")]

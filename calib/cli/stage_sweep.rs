@@ -46,7 +46,7 @@ pub struct StageSweepArgs {
     #[arg(long, value_name = "ADDRESSES.json")]
     pub bench: Option<PathBuf>,
     /// Use a scenario's virtual bench in this process instead of the rig's devices, faster than real time; without cameras
-    #[arg(long, value_name = "S.toml", conflicts_with_all = ["bench", "resume", "live"])]
+    #[arg(long, value_name = "S.toml", conflicts_with_all = ["bench", "resume"])]
     pub scenario: Option<PathBuf>,
     /// Home the stage if it has no reference (moves to the home switch)
     #[arg(long)]

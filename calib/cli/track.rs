@@ -29,42 +29,14 @@ use wcal_track::model_file::{load, read_card};
 /// Arguments of `wcal track`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  wcal track readings.csv --calibration calibration.json --model model --out track.csv
   wcal track session --calibration calibration.json --out track.csv
   wcal track readings.csv --motion arm.csv --calibration calibration.json --out track.csv
-  wcal track session --calibration calibration.json --model model --out track.csv
-  wcal track sweep.mcap --rig rigs/bench --calibration calibration.json --out track.csv
-  wcal track --rig rigs/bench --calibration calibration.json --model model --out track.csv
 
-SOURCE is a table (as for `wcal predict`, with t_s in every row), a session folder, or a recording (.mcap, with --rig). Without it the rig's
-interrogator is read until Ctrl-C or --seconds.
+Where the motion is known, physics locates the contact; with --model a network does. Columns and
+status words: docs/src/formats.md; methods: docs/src/guide/tracking.md.
 
-Methods:
-  No --model, motion known: physics. The motion comes from the session (stage_mm along each trajectory), --motion, motion columns of the table,
-  or the rig's stage ([base] carried_along: the stage carries the base). A row gives the place of the wire's axis at the contact with its
-  covariance. In a stream the region narrows as the contact goes on.
-  With --model: a network, trained on SIMULATED sweeps. It knows one motion: the base moves along its +z past an object at rest.
-  Neither: each loaded reading gives the arc of the wire that its moments allow (arclength_regions95).
-
-Status of a row:
-  motion-disagrees  moments and motion do not belong together (other wire, reversed, in metres)
-  sliding-assumed   only a contact that slides over the object explains the moments
-  motion-lost       the motion is not known at this reading
-  motion-assumed    the motion is not known to be one that the network was trained on: two moments cannot tell a press from a sweep. The
-                    region holds for any motion; --sweep states that it is a sweep
-
-Where the table or session has groove_x_mm, groove_y_mm and groove_z_mm, the answers are compared with them: RMS error, Cramer-Rao bound
-(physics), coverage of the 95 % regions.
-
-Streams: scans pass the rig's channel map, temperature compensation, a linear-phase low-pass (lag 0.1 s) and the map. t_s of a row is its effective
-time: the scan that completed it less the filter's lag. The first
-3 s must be free of contact. Several whiskers: gratings with `whisker = \"ID\"` in rig.toml, and --calibration ID=FILE, --model ID=DIR for each.
-
-Beside track.csv: track.json (filters, noise, limits, counts, contact intervals) and, for a stream, track-events.csv.
-
-Exit code 3: tracked, with readings lost, dropped or unusable (flagged), or contact in a motion that the network may not know.
-4: readings outside the valid region (marked), regions that do not hold the known groove, or a calibration or model that cannot be trusted
-(unverified, expired, failed, changed, of another whisker, at another rate). Then nothing is written without --force, and with it every row says so.")]
+Exit code 3: readings lost or flagged, or a motion that the network may not know. 4: outside the valid region, regions that miss the known
+groove, or a calibration or model that cannot be trusted: then nothing is written without --force.")]
 pub struct TrackArgs {
     /// Table of readings, recording (.mcap) or session folder; without it the rig's interrogator
     pub source: Option<PathBuf>,

@@ -22,12 +22,9 @@ use wcal_session::load;
   wcal twin my-session --engine rod --out my-session/twin.csv
   wcal twin my-session --engine mujoco --preset released --out my-session/twin.csv
 
-One line a reading: point, moment_1_nmm, moment_2_nmm, contact_arclength_mm, branch, settled. Branch by the rod: first-touch, rest,
-not-touched, snapped, slipped-off; where the wire is not held on the branch from first touch there is no moment. Branch by MuJoCo: held,
-rest, free (the wire is out of the groove), unstable (a step went wrong: no moment), several: the wire rests elsewhere when it is come to straight
-from the start or with less damping, so that its history and MuJoCo's version decide on the moment; every other place is printed with its moment,
-and where the session has labels of another twin, whose they are. MuJoCo runs with the released groove tip; preset released is the
-released cable, paper the measured one with the clamp right to second order. Exit code 3: readings without a moment, not at rest, or with several equilibria.")]
+One line a reading: point, moment_1_nmm, moment_2_nmm, contact_arclength_mm, branch, settled (docs/src/formats.md).
+Preset released is the released cable, paper the measured one with the clamp right to second order.
+Exit code 3: readings without a moment, not at rest, or with several equilibria.")]
 pub struct TwinArgs {
     /// Session folder (kind "whisker")
     pub session: PathBuf,

@@ -256,10 +256,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     out.put("session.toml", files.session_toml);
     out.finish()?;
     let rows = table.rows.len();
-    // Of the tables that were given: those of the session end as they should.
-    let open_ends = sources.iter().filter_map(|table| table.warning()).map(|w| w.to_string());
-    let warnings: Vec<String> =
-        session.warnings.iter().map(ToString::to_string).chain(open_ends).chain(repeated).collect();
+    let warnings: Vec<String> = session.warnings.iter().map(ToString::to_string).chain(repeated).collect();
     if args.json {
         let document = ImportDocument {
             format: "wcal-import/1",
@@ -276,6 +273,10 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {
         println!("{}: {rows} rows, session {:?}{}", args.out.display(), session.id, word(session.simulated));
+    }
+    // Of the tables that were given: those of the session end as they should.
+    for remark in sources.iter().filter_map(|table| table.warning()) {
+        eprintln!("{remark}");
     }
     for (source, encoding) in sources.iter().filter_map(|s| Some((s, s.encoding?))) {
         eprintln!("{}: read as {encoding}", source.file);

@@ -110,7 +110,7 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     };
     out.refuse_other(&session.id)?;
     // What joining sessions says by itself is no reason to doubt the result.
-    let doubtful = !session.warnings.is_empty();
+    let doubtful = session.warnings.iter().any(|w| !w.is_remark());
     for later in &args.add {
         add_session(&mut session, later)?;
     }

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use wcal_acquisition::rig::Rig;
 use wcal_core::CalibrationFile;
 use wcal_core::clock::HostClock;
+use wcal_core::device::Permission;
 use wcal_core::rig_devices::DeviceOpener;
 use wcal_drivers::Drivers;
 
@@ -46,7 +47,9 @@ impl Bench {
         let mut stage = devices.stage(&rig.stage, clock).unwrap();
         stage.start_home().unwrap();
         until_standing(stage.as_mut());
-        devices.mount(&rig.mount, clock).unwrap().unwrap().select(1).unwrap();
+        let mut mount = devices.mount(&rig.mount, clock).unwrap().unwrap();
+        mount.prepare(Permission { home: true, clear_flags: false }).unwrap();
+        mount.select(1).unwrap();
         go(stage.as_mut(), 18.0);
         stage
     }

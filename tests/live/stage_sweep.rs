@@ -274,5 +274,6 @@ fn a_virtual_bench_that_falls_behind_its_clock_says_so() {
     let (code, said) = run("100000");
     assert_eq!(code, Some(3), "{said}");
     assert!(said.contains("fell behind its clock") && said.contains("use a lower speed"), "{said}");
-    assert_eq!(run("1"), (Some(0), String::new()), "control");
+    let (code, said) = run("1");
+    assert!(code == Some(0) && !said.contains("fell behind"), "control: {said}");
 }

@@ -73,7 +73,7 @@ fn merge_reference(map: &mut Map<String, Value>, parts: &Value) {
 fn drop_unused(schema: &mut Value) {
     loop {
         let text = schema.to_string();
-        let Some(parts) = schema["$defs"].as_object_mut() else { return };
+        let Some(parts) = schema.get_mut("$defs").and_then(Value::as_object_mut) else { return };
         let before = parts.len();
         parts.retain(|name, _| text.contains(&format!("\"#/$defs/{name}\"")));
         if parts.len() == before {

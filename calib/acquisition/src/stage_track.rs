@@ -26,8 +26,10 @@ impl Track {
     /// Whether the stage moved in a settled window, or stood elsewhere than at `target_mm`, mm from its zero.
     pub(crate) fn left(&self, target_mm: f64, begin_s: f64, end_s: f64) -> bool {
         let end_s = end_s - NEXT_MOVE_S.min((end_s - begin_s) / 4.0);
-        let inside =
-            self.points.partition_point(|p| p.0 < begin_s)..self.points.partition_point(|p| p.0 <= end_s);
+        let (from, to) =
+            (self.points.partition_point(|p| p.0 < begin_s), self.points.partition_point(|p| p.0 <= end_s));
+        // A damaged window may end before it begins.
+        let inside = from..to.max(from);
         let mut answers = self.points[inside.clone()].iter().zip(&self.moving[inside]);
         answers.any(|((_, mm), moving)| *moving || (mm - target_mm).abs() > ARRIVAL_MM)
     }

@@ -137,8 +137,10 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     if !sweep.left_out.is_empty() {
         eprintln!("columns not imported: {}", sweep.left_out.join(", "));
     }
-    let open_ends = sweep.sources.iter().filter_map(TextTable::warning);
-    let mut warnings: Vec<String> = open_ends.map(|w| w.to_string()).collect();
+    for remark in sweep.sources.iter().filter_map(TextTable::warning) {
+        eprintln!("{remark}");
+    }
+    let mut warnings = Vec::new();
     if sweep.without_pose > 0 {
         warnings.push(format!(
             "the motion of {} of {} readings is not known: the log does not cover their times",

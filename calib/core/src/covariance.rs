@@ -13,8 +13,15 @@ const LARGEST: f64 = 1e30;
 /// Why it is none.
 pub fn check(covariance: &[Vec<f64>], parameters: usize) -> Result<(), String> {
     let rows = covariance.len();
-    if rows != parameters || covariance.iter().any(|row| row.len() != parameters) {
+    if rows != parameters {
         return Err(format!("{parameters} rows and columns expected, {rows} rows found"));
+    }
+    if let Some(k) = (0..rows).find(|&k| covariance[k].len() != parameters) {
+        return Err(format!(
+            "{parameters} columns expected, {} numbers in row {} found",
+            covariance[k].len(),
+            k + 1
+        ));
     }
     if let Some(k) = (0..parameters).find(|&k| !(covariance[k][k] >= 0.0)) {
         return Err(format!("variances of 0 or more expected, {} found in row {}", covariance[k][k], k + 1));

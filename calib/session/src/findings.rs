@@ -55,7 +55,8 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
     time(session, &mut list);
     sealed(&session.data, &mut list);
     for warning in session.warnings.iter().filter(|w| !w.is_clock_problem()) {
-        list.add(Severity::Warn, "files", warning.to_string());
+        let severity = if warning.is_remark() { Severity::Note } else { Severity::Warn };
+        list.add(severity, "files", warning.to_string());
     }
     list.0
 }

@@ -125,6 +125,11 @@ impl SessionWarning {
         matches!(self.kind, WarningKind::Stuck { .. })
     }
 
+    /// Whether it is said and no more: many programs write no line end after the last row.
+    pub fn is_remark(&self) -> bool {
+        matches!(self.kind, WarningKind::OpenEnd { .. })
+    }
+
     /// Points of rows that were left out of the table.
     pub(crate) fn left_out(&self) -> &[i64] {
         match &self.kind {

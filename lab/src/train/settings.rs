@@ -48,7 +48,7 @@ pub struct TrainSettings {
     /// Drift, N mm/s.
     pub drift_nmm_s: f64,
     /// Whether half of the series, others in each pass, are taken as their mirror images, where the free wire lies in a plane.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub mirror: bool,
     /// What the filter below the network assumes; models of before it was written down had the default one.
     #[serde(default)]

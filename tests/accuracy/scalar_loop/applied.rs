@@ -36,9 +36,13 @@ fn a_table_from_a_simulation_is_marked_from_import_to_predict() {
     let at = |name: &str| place.path().join(name).display().to_string();
     let (table, read) = (nist("pontius/points.csv"), |name: &str| fs::read_to_string(at(name)).unwrap());
     for (name, marked) in [("measured", false), ("marked", true)] {
+        let own = place.path().join(format!("{name}-tables"));
+        fs::create_dir(&own).unwrap();
+        fs::copy(&table, own.join("t.csv")).unwrap();
         if marked {
-            fs::write(at("SIMULATED"), "").unwrap();
+            fs::write(own.join("SIMULATED"), "").unwrap();
         }
+        let table = own.join("t.csv");
         let (session, out, csv) = (at(name), at(&format!("{name}-out")), at(&format!("{name}.csv")));
         let import =
             ["import", table.to_str().unwrap(), "--kind", "transducer", "--model", "linear", "--stimulus"];

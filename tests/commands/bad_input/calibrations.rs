@@ -106,7 +106,7 @@ fn calibrations_are_refused_by_name_before_anything_is_computed() {
             vec![vec![0.0]].into(),
             &["`covariance`", "12 to 14 rows", "found 1 rows"],
         ),
-        (&physical, "/covariance/3", none[..].into(), &["`covariance`", "0 numbers in row 4"]),
+        (&physical, "/covariance/3", none[..].into(), &["covariance", "0 numbers in row 4"]),
         (&physical, "/kind", "oracle".into(), &["c.json", "oracle"]),
         (&map, "/version", 2.into(), &["expected version 1, found 2"]),
         (&map, "/outputs/1/beta", none[..].into(), &["`outputs[1].beta` of 1 numbers", "found 0"]),

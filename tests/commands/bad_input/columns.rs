@@ -101,12 +101,15 @@ fn no_cell_of_a_session_ends_a_command_otherwise_than_by_its_name() {
         let text = if whisker { whole_whisker(&points) } else { points };
         let beside: &[&str] =
             if whisker { &["groove", "origin + stage_mm", "point"] } else { &["point", "readings"] };
-        wrong.extend(walk(place.path(), &Table { file: "points.csv", text, arguments: "doctor .", beside }));
+        wrong.extend(walk(
+            place.path(),
+            &Table { file: "points.csv", text, arguments: "verify . --check", beside },
+        ));
         if whisker {
             let twin = fs::read_to_string(place.path().join("twin.csv")).unwrap();
             wrong.extend(walk(
                 place.path(),
-                &Table { file: "twin.csv", text: twin, arguments: "doctor .", beside },
+                &Table { file: "twin.csv", text: twin, arguments: "verify . --check", beside },
             ));
         }
     }
@@ -116,7 +119,7 @@ fn no_cell_of_a_session_ends_a_command_otherwise_than_by_its_name() {
 /// The commands that the issue names, on the column that ended them.
 #[test]
 fn a_stage_a_thousand_kilometres_away_is_refused_by_every_command() {
-    for command in ["doctor s", "verify s --out o", "fit-gpr s --out o", "twin s --out t.csv"] {
+    for command in ["verify s --check", "verify s --out o", "fit-gpr s --out o", "twin s --out t.csv"] {
         let place = tempfile::tempdir().unwrap();
         let session = place.path().join("s");
         fs::create_dir(&session).unwrap();
@@ -191,9 +194,12 @@ fn a_table_that_ends_within_its_last_row_is_named_in_one_line() {
     for base in [Base::Whisker, Base::Transducer, Base::Axis] {
         let place = tempfile::tempdir().unwrap();
         base.write(place.path());
-        assert!(said(&wcal(place.path(), &["doctor", "."])).is_empty(), "{base:?}: negative control");
+        assert!(
+            said(&wcal(place.path(), &["verify", ".", "--check"])).is_empty(),
+            "{base:?}: negative control"
+        );
         cut(place.path(), "points.csv");
-        let lines = said(&wcal(place.path(), &["doctor", "."]));
+        let lines = said(&wcal(place.path(), &["verify", ".", "--check"]));
         assert!(
             lines.len() == 1 && lines[0].contains("points.csv") && lines[0].contains("line 4"),
             "{base:?}: {lines:?}"

@@ -8,7 +8,8 @@ use std::io::Write;
 /// `wcal ARGUMENTS` with a quarter of a gigabyte of memory beside the program itself: what reads first and judges later does not end in it.
 fn small(folder: &Path, arguments: &[&str]) -> Output {
     let script = "ulimit -v 1500000; ulimit -t 60; exec timeout 600 \"$0\" \"$@\" < /dev/null";
-    Command::new("sh").args(["-c", script, PROGRAM]).args(arguments).current_dir(folder).output().unwrap()
+    let program = program_of(arguments[0]).get_program().to_owned();
+    Command::new("sh").args(["-c", script]).arg(program).args(arguments).current_dir(folder).output().unwrap()
 }
 
 /// A folder with a document of every kind that a command reads, each with such a command.
@@ -35,11 +36,10 @@ fn documents(place: &Path) -> Vec<(&'static str, &'static str)> {
     fs::write(place.join("sweeps.toml"), "rate_hz = 5.0\n").unwrap();
     fs::write(place.join("shapes.json"), "{\"format\": \"wcal-shapes/1\", \"pairs\": []}").unwrap();
     vec![
-        ("s/session.toml", "doctor s"),
+        ("s/session.toml", "verify s --check"),
         ("rig.toml", "stage-sweep --rig rig.toml --plan plan.toml --dry-run"),
         ("plan.toml", "stage-sweep --rig rig.toml --plan plan.toml --dry-run"),
         ("scenario.toml", "virtual-bench --scenario scenario.toml"),
-        ("model/model.json", "report model"),
         ("stereo.json", "stereo-shape left right --cameras stereo.json --rig rig.toml --out shapes"),
         ("recorded/rig.toml", "reduce recorded"),
         ("recorded/run.json", "reduce recorded"),
@@ -101,7 +101,7 @@ fn a_tables_columns_are_counted_before_it_is_read() {
             judge(&output, code, says).unwrap_or_else(|why| panic!("{columns}: {command}: {why}"));
         }
         if code == 1 {
-            judge(&small(place.path(), &["doctor", "."]), 1, says).unwrap();
+            judge(&small(place.path(), &["verify", ".", "--check"]), 1, says).unwrap();
         }
     }
 }
@@ -151,7 +151,8 @@ fn a_mesh_of_the_largest_number_of_triangles_stays_within_its_memory() {
         let script = format!("ulimit -v {limit_kb}; exec \"$0\" \"$@\" < /dev/null");
         let simulate = format!("simulate {object} --sweeps 1 --out o --force");
         Command::new("sh")
-            .args(["-c", &script, PROGRAM])
+            .args(["-c", &script])
+            .arg(program_of("simulate").get_program())
             .args(simulate.split(' '))
             .current_dir(place.path())
             .output()

@@ -63,7 +63,7 @@ const IMPORTS: &[BadImport] = &[
         code: 1,
         says: &["column x", "x;y"],
     },
-    BadImport { name: "not text", table: b"x,y\n\xff,2\n", arguments: LINEAR, code: 1, says: &["UTF-8"] },
+    BadImport { name: "not text", table: b"x,y\n\xff,2\n", arguments: LINEAR, code: 1, says: &["a number"] },
     BadImport {
         name: "no stimulus",
         table: b"x,y\n1,2\n",

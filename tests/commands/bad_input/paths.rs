@@ -15,7 +15,6 @@ fn lines() -> Vec<Vec<&'static str>> {
         "twin @ --out o.csv",
         "predict @ --calibration c.json --out o.csv",
         "predict t.csv --calibration @ --out o.csv",
-        "import w.csv --kind whisker --model @.toml --out o",
         "stereo-calibrate @ pictures --board 9x6 --square-mm 6 --out o",
         "stereo-calibrate pictures @ --board 9x6 --square-mm 6 --out o",
         "stereo-shape @ pictures --cameras stereo.json --rig rig.toml --out o",

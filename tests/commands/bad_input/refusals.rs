@@ -79,16 +79,15 @@ fn place() -> (tempfile::TempDir, Vec<Read>) {
     fs::write(at("shapes.json"), "{\n \"format\": \"wcal-shapes/1\",\n \"pairs\": []\n}\n").unwrap();
     let read = |file: &'static str, arguments: &'static str| Read { file, arguments };
     let all = vec![
-        read("w/session.toml", "doctor w"),
-        read("w/points.csv", "doctor w"),
-        read("w/twin.csv", "doctor w"),
+        read("w/session.toml", "verify w --check"),
+        read("w/points.csv", "verify w --check"),
+        read("w/twin.csv", "verify w --check"),
         read("t/session.toml", "verify t --out o"),
         read("t/points.csv", "verify t --out o"),
-        read("a/points.csv", "doctor a"),
+        read("a/points.csv", "verify a --check"),
         read("rig.toml", "stage-sweep --rig rig.toml --plan plan.toml --dry-run"),
         read("plan.toml", "stage-sweep --rig rig.toml --plan plan.toml --dry-run"),
         read("scenario.toml", "virtual-bench --scenario scenario.toml"),
-        read("model/model.json", "report model"),
         read("stereo.json", "stereo-shape left right --cameras stereo.json --rig seen.toml --out o"),
         read("seen.toml", "stereo-shape left right --cameras stereo.json --rig seen.toml --out o"),
         read("recorded/rig.toml", "reduce recorded"),
@@ -97,7 +96,6 @@ fn place() -> (tempfile::TempDir, Vec<Read>) {
         read("cell.csv", "predict cell.csv --calibration c.json --out o.csv"),
         read("p.json", "predict wire.csv --calibration p.json --out o.csv"),
         read("wire.csv", "predict wire.csv --calibration p.json --out o.csv"),
-        read("sweeps.toml", "simulate --object can --sweeps 1 --plan sweeps.toml --out o"),
         read("shapes.json", "fit-whisker shapes.json --rig seen.toml --out o"),
         read(
             "t/points.csv",
@@ -113,7 +111,7 @@ fn judge_refusal(read: &Read, output: &Output, usual: &str) -> Result<(), String
     if output.status.code() != Some(1) || text == usual {
         return Ok(());
     }
-    // `doctor` says it as a finding, `verify` of data that decide nothing as its verdict.
+    // `verify --check` says it as a finding, `verify` of data that decide nothing as its verdict.
     let Some(at) =
         ["wcal: ", "error  files", "verdict", ": refused"].iter().find_map(|start| text.find(start))
     else {

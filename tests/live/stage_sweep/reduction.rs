@@ -66,6 +66,7 @@ fn record_windows(recorder: &Recorder, step_s: f64) {
             role: "calibration".to_owned(),
             trajectory: 1,
             replicate: 1,
+            target_mm: 1.0 + step as f64,
             direction: 1,
             begin_s: own_s,
             end_s: own_s + 1.0,

@@ -142,7 +142,7 @@ pub fn read_sweep_series(
         }
     }
     if all.is_empty() {
-        return Err(LabError::value(folder.display().to_string(), "shards of `wcal simulate`", "none"));
+        return Err(LabError::value(folder.display().to_string(), "shards of `wcal-lab simulate`", "none"));
     }
     all.values_mut().for_each(|all_series| all_series.sort_by_key(|c| c.sweep));
     Ok(all)

@@ -55,7 +55,7 @@ mod tests {
             (of(1.0, f64::INFINITY, 1.0), "symmetric"),
             (vec![vec![1.0, 0.5], vec![0.2, 1.0]], "symmetric"),
             (vec![vec![1.0]], "2 rows"),
-            (vec![vec![1.0], vec![1.0]], "2 rows"),
+            (vec![vec![1.0], vec![1.0]], "2 columns"),
         ] {
             let why = check(&bad, 2).unwrap_err();
             assert!(why.contains(says), "{says}: {why}");

@@ -18,7 +18,7 @@ const WIRES: u64 = 8;
 const SWEEPS: usize = 5;
 const SWEEPS_OF_WIRE: usize = 60;
 /// How far a wire may be from the declared one: straight part and radius of the tip, mm, Young's modulus, share. Assumed, not measured: twice what
-/// the virtual bench of `wcal evaluate` is off.
+/// the virtual bench of `wcal-lab evaluate` is off.
 const STRAIGHT_MM: f64 = 0.2;
 const RADIUS_MM: f64 = 0.3;
 const YOUNGS: f64 = 0.03;

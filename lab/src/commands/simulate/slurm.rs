@@ -32,7 +32,7 @@ pub struct SlurmArgs {
     pub dry_run: bool,
 }
 
-/// What `wcal simulate --slurm` handed in last.
+/// What `wcal-lab simulate --slurm` handed in last.
 #[derive(Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Submission {
     /// Format and version.

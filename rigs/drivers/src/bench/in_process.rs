@@ -35,6 +35,8 @@ const GONE: Duration = Duration::from_secs(20);
 /// How far the stream was handed over, in numbers of scans.
 #[derive(Debug, Default)]
 struct Stream {
+    /// It has been read, perhaps by a reader that has ended since.
+    begun: bool,
     reading: bool,
     made: u64,
     taken: u64,
@@ -61,7 +63,7 @@ impl InProcess {
     /// A pause of the sweep: its time passes. The first one waits for the thread that reads the stream, or chance would say how many there are.
     pub fn pause(&self, time: Duration) {
         let (stream, changed) = &*self.stream;
-        drop(changed.wait_timeout_while(guard(stream), GONE, |s| !s.reading));
+        drop(changed.wait_timeout_while(guard(stream), GONE, |s| !s.begun));
         self.pass(time.as_secs_f64());
     }
 
@@ -261,7 +263,7 @@ impl Interrogator for OwnInterrogator {
     fn start(&mut self) -> Result<(), DeviceError> {
         let mut s = guard(&self.bench.stream.0);
         self.next = s.made;
-        (s.reading, s.taken) = (true, self.next);
+        (s.begun, s.reading, s.taken) = (true, true, self.next);
         self.bench.stream.1.notify_all();
         Ok(())
     }

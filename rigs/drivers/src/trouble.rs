@@ -114,7 +114,7 @@ fn holder(path: &str, processes: &Path) -> Option<(u32, String)> {
         .collect();
     found.sort_unstable();
     let id = *found.first()?;
-    let name = wcal_core::files::read_text(&processes.join(id.to_string()).join("comm")).ok()?;
+    let name = wcal_core::files::read_text(processes.join(id.to_string()).join("comm")).ok()?;
     Some((id, name.trim().to_owned()))
 }
 

@@ -36,7 +36,10 @@ fn by_ours(picture: &Picture, coarse: &[Vector2<f64>]) -> Vec<Option<Vector2<f64
     refine(picture, SIZE, coarse).into_iter().map(|c| c.map(|c| c.position_px)).collect()
 }
 
-fn views(by: fn(&Picture, &[Vector2<f64>]) -> Vec<Option<Vector2<f64>>>) -> Vec<BoardView> {
+/// Corners near those that were guessed; none where there is none.
+type Refine = fn(&Picture, &[Vector2<f64>]) -> Vec<Option<Vector2<f64>>>;
+
+fn views(by: Refine) -> Vec<BoardView> {
     let [left, right] = sides();
     let files = pair_files(&list_pictures(&left).unwrap(), &list_pictures(&right).unwrap()).unwrap();
     let corners = |path: &Option<std::path::PathBuf>| -> Vec<Option<Vector2<f64>>> {

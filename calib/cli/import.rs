@@ -18,8 +18,7 @@ use wcal_session::{Separator, SessionFiles, TextTable, TextTableLayout, read_tex
 /// Arguments of `wcal import`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
-  wcal import cell.csv --kind transducer --stimulus load_n --response out_v --model linear \\
-      --out cell
+  wcal import cell.csv --kind transducer --stimulus load --response out --model linear --out cell
   wcal import stage.csv --kind axis --commanded cmd_mm --measured 'laser_um*0.001' --out axis-x
 
 'COL*FACTOR' multiplies a column. Errors of an axis in place of positions: --covariate error_um=COL (or error_mm, error_in).

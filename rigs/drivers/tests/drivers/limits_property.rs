@@ -156,8 +156,9 @@ fn wrong(case: &Case, tap: &Tap, result: &Result<RecordResult, String>) -> Optio
     {
         return Some(format!("the stop is not confirmed: {result:?}"));
     }
-    // Nothing is wrong with the stage: the wire is left free.
+    // Nothing is wrong with the stage: the wire is left free, unless its reference was still being searched.
     if let (Trouble::FullDisk, Ok(RecordResult { sweep, .. })) = (case.trouble, result)
+        && !moves.is_empty()
         && matches!(&sweep.ending, Ending::Stopped { stage, cause } if cause.device == "recorder" && *stage != StageEnd::Retracted)
     {
         return Some(format!("pressed on: {result:?}"));

@@ -57,7 +57,7 @@ fn tracked(code: Option<i32>, said: &str) {
 }
 
 #[test]
-fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
+fn a_live_stream_becomes_contacts_and_replays_to_the_same_rows() {
     let _turn = crate::alone();
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
@@ -79,7 +79,6 @@ fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
     let summary = document(&run);
     assert_eq!((&summary["format"], &summary["lag_s"]), (&"wcal-track/2".into(), &0.1.into()), "{summary}");
     assert_eq!((&summary["dropped_scans"], &summary["lost_scans"]), (&0.into(), &0.into()), "{summary}");
-    assert_eq!(summary["whiskers"][0]["events"]["onset"], 1, "{summary}");
     assert!(Path::new(&path("live.json")).exists());
     let rows = Rows::read(Path::new(&live_csv));
     let (t_s, status) = (rows.numbers("t_s"), rows.column("status"));
@@ -92,28 +91,20 @@ fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
     // The stage presses toward the wire and holds: no motion that a model was trained on.
     assert!(status.contains(&"motion-assumed"), "{status:?}");
     assert!(t_s.windows(2).skip(2).all(|w| (w[1] - w[0] - 0.1).abs() < 1e-3));
-    // Touching, and only then a moment and a probable contact.
-    let touching = rows.column("touching");
+    // A moment and a probable contact where the stage presses, and only there.
     let (m, p) = (rows.numbers("moment_1_nmm"), rows.numbers("contact_probability"));
     let pressed: Vec<usize> = (0..m.len()).filter(|k| m[*k].abs() > 0.1).collect();
     assert!(pressed.len() > 5, "{m:?}");
     // The readings in which the touch begins and ends are half free.
     let whole = &pressed[1..pressed.len() - 1];
-    assert!(whole.iter().all(|k| touching[*k] == "1" && p[*k] > 0.5), "{pressed:?} {p:?}");
-    let free = (0..m.len()).filter(|k| touching[*k] == "0").count();
-    assert!(free > 50, "{touching:?}");
+    assert!(whole.iter().all(|k| p[*k] > 0.5), "{pressed:?} {p:?}");
+    let free = (0..m.len()).filter(|k| p[*k] < 0.5).count();
+    assert!(free > 50, "{p:?}");
     // World frame: 100 mm to the side, carried along z by the stage.
     let (world, base) = (rows.numbers("world_z_mm"), rows.numbers("contact_z_mm"));
     let carried: Vec<f64> = pressed.iter().map(|k| world[*k] - base[*k]).filter(|x| x.is_finite()).collect();
     assert!(carried.iter().all(|way| (-2.1..2.1).contains(way)), "{carried:?}");
     assert!(carried.iter().any(|way| *way > 1.0), "{carried:?}");
-    let events = Rows::read(Path::new(&path("live-events.csv")));
-    let (kinds, times) = (events.column("kind"), events.numbers("t_s"));
-    // Nothing while the wire is free: the stage moves for two seconds before it touches.
-    assert_eq!(kinds, ["onset", "release"]);
-    let first_pressed = t_s[pressed[0]];
-    assert!(times[0] < first_pressed && first_pressed - times[0] < 0.5, "{times:?} {first_pressed}");
-
     // The recording holds the raw streams; replayed it gives the same rows, at once.
     let replayed = path("replayed.csv");
     let replay = [&recording, "--rig", &rig, "--calibration", &good, "--out", &replayed, "--seconds", "14"];
@@ -121,7 +112,6 @@ fn a_live_stream_becomes_contacts_and_events_and_replays_to_the_same_rows() {
     tracked(run.status.code(), &text(&run.stderr));
     let read_text = |p: &str| std::fs::read_to_string(p).unwrap();
     assert_eq!(read_text(&live_csv), read_text(&replayed));
-    assert_eq!(read_text(&path("live-events.csv")), read_text(&path("replayed-events.csv")));
     // Control: through another calibration it is another track.
     let turned = path("turned.json");
     reseal(Path::new(&good), Path::new(&turned), |c| {
@@ -168,7 +158,6 @@ fn a_hyperion_gives_the_same(
     tracked(run.status.code(), &text(&run.stderr));
     let summary = document(&run);
     assert_eq!((&summary["dropped_scans"], &summary["lost_scans"]), (&0.into(), &0.into()), "{summary}");
-    assert_eq!(summary["whiskers"][0]["events"]["onset"], 1, "{summary}");
     let m = Rows::read(Path::new(&csv)).numbers("moment_1_nmm");
     let own = m.iter().copied().map(f64::abs).fold(0.0, f64::max);
     assert!((own / most - 1.0).abs() < 0.03, "{own} {most}");

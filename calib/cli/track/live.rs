@@ -41,8 +41,6 @@ const SILENCE: Duration = Duration::from_secs(2);
 const FLUSH: Duration = Duration::from_millis(500);
 /// Scans between two reports of progress.
 const SCANS_SHOWN: u64 = 1000;
-/// Largest number of false events per hour and whisker under noise as in the prefix.
-const FALSE_ALARMS_PER_HOUR: f64 = 1.0;
 /// Scans that may wait for the tracker; further ones are dropped, counted and flagged.
 const QUEUE: usize = 20_000;
 /// Time between questions to a stage that carries the base.
@@ -69,7 +67,7 @@ pub fn replay(
     if let Some((table, whisker)) = session_folder(args).and_then(session_points) {
         whiskers.know_groove(&known_places(&table)?, whisker.as_deref());
     }
-    let mut files = output::create(&args.out, true)?;
+    let mut files = output::create(&args.out)?;
     let mut cut_off = Vec::new();
     let progress = Progress::new("track");
     let mut ended = false;
@@ -141,7 +139,7 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
     let about = || BTreeMap::from([("rig".to_owned(), place.to_owned())]);
     let recorder =
         args.mcap.as_ref().map(|path| Recorder::create(path, about()).map(Arc::new)).transpose()?;
-    let mut files = output::create(&args.out, true)?;
+    let mut files = output::create(&args.out)?;
     let done = AtomicBool::new(false);
     let (intake, receiver) = FeedInput::new(QUEUE, recorder.clone());
     let carried = rig.base.as_ref().is_some_and(|b| b.carried_along.is_some());
@@ -307,7 +305,7 @@ fn conclude(
     }
     for name in whiskers.unheard() {
         let whose = if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
-        eprintln!("warning: {whose}no quiet prefix of {} s: no events were detected", PREFIX_S);
+        eprintln!("warning: {whose}no quiet prefix of {PREFIX_S} s: the noise of the rows is not known");
     }
     let loss = lost_text(whiskers.lost(), dropped);
     if let Some(loss) = &loss {
@@ -340,7 +338,6 @@ fn settings(args: &TrackArgs, rig: &Rig) -> StreamSettings {
         rate_hz: RATE_HZ,
         lag_s: LAG_S,
         prefix_s: PREFIX_S,
-        false_alarms_per_hour: FALSE_ALARMS_PER_HOUR,
         tare_s: args.tare_s.unwrap_or(0.0),
         base_mm_s: args.base_mm_s,
         vouched: args.sweep,

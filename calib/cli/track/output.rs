@@ -3,10 +3,10 @@
 use crate::output::{check_beside, check_file, first_line};
 use anyhow::{Context, Result};
 use std::path::Path;
-use wcal_contact::track_table::{EVENT_COLUMNS, TrackFiles, companion};
+use wcal_contact::track_table::{TrackFiles, companion};
 
-/// Files beside the table, by their endings.
-const COMPANIONS: [&str; 2] = [".json", "-events.csv"];
+/// Summary beside the table.
+const SUMMARY: &str = ".json";
 
 /// Whether a table with this first line is a track, of this version or an earlier one.
 pub fn is_track(first: &str) -> bool {
@@ -21,20 +21,18 @@ pub fn check(out: &Path, force: bool) -> Result<()> {
     check_file(out, "track", is_track, force)?;
     // What lies beside an earlier track belongs to it.
     let earlier = out.exists() && is_track(&first_line(out)?);
-    let own = |start: &str| start.starts_with(EVENT_COLUMNS) || start.contains("wcal-track/");
-    check_beside(&COMPANIONS.map(|ending| companion(out, ending)), own, force || earlier)
+    let own = |start: &str| start.contains("wcal-track/");
+    check_beside(&[companion(out, SUMMARY)], own, force || earlier)
 }
 
 /// Opens the files of a track; nothing of an earlier one stays beside it.
 ///
 /// # Errors
 /// Where one cannot be made.
-pub fn create(out: &Path, events: bool) -> Result<TrackFiles> {
-    if out.is_file() && is_track(&first_line(out)?) {
-        for path in COMPANIONS.map(|ending| companion(out, ending)).into_iter().filter(|path| path.is_file())
-        {
-            std::fs::remove_file(&path).with_context(|| format!("replacing {}", path.display()))?;
-        }
+pub fn create(out: &Path) -> Result<TrackFiles> {
+    let summary = companion(out, SUMMARY);
+    if summary.is_file() && out.is_file() && is_track(&first_line(out)?) {
+        std::fs::remove_file(&summary).with_context(|| format!("replacing {}", summary.display()))?;
     }
-    Ok(TrackFiles::create(out, events)?)
+    Ok(TrackFiles::create(out)?)
 }

@@ -76,8 +76,6 @@ pub struct Reading {
     pub base_mm_s: Option<f64>,
     /// Velocity of the base past what it touches, base frame, mm/s.
     pub velocity_mm_s: Option<Vector3<f64>>,
-    /// Whether the event detector of a stream sees contact.
-    pub touching: Option<bool>,
     /// In the beginning of a stream that must be free of contact, before its noise is known.
     pub in_prefix: bool,
     /// What happened since the reading before is not known.
@@ -96,7 +94,6 @@ impl Reading {
             base: None,
             base_mm_s: None,
             velocity_mm_s: None,
-            touching: None,
             in_prefix: false,
             gap: false,
         }

@@ -1,4 +1,4 @@
-//! The tracks of a stream: scans in, rows and events out, whisker by whisker.
+//! The tracks of a stream: scans in, rows out, whisker by whisker.
 
 use crate::ContactError;
 use crate::estimator::{Estimator, Message};
@@ -9,13 +9,12 @@ use crate::reading::{Moments, Reading};
 use crate::session_groove::moment_field;
 use crate::stream_motion::{StreamMotion, kernel};
 use crate::track_document::{
-    FilterDocument, NoiseDocument, StreamDocument, StreamMotionDocument, StreamedWhisker, TimeDocument,
+    FilterDocument, StreamDocument, StreamMotionDocument, StreamedWhisker, TimeDocument,
 };
 use crate::track_table::{TrackFiles, TrackRow};
 use crate::trust::WhiskerModel;
 use crate::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
 use nalgebra::{Matrix2, Vector3};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use wcal_acquisition::clock_watch::{ClockFault, ClockWatch};
@@ -27,7 +26,7 @@ use wcal_core::WhiskerSpec;
 use wcal_core::device::FbgReading;
 use wcal_core::observation::MomentAxes;
 use wcal_core::stream::MomentSpread;
-use wcal_track::stream::{Row, SignalChain, SignalChainSettings, first_mode_hz};
+use wcal_track::stream::{Row, SignalChain, SignalChainSettings};
 
 /// The moments' table is filled so far from the wire while the stream begins, mm.
 const REACH_MM: f64 = 8.0;
@@ -41,8 +40,6 @@ pub struct StreamSettings {
     pub lag_s: f64,
     /// Beginning without contact, s.
     pub prefix_s: f64,
-    /// False events an hour at most.
-    pub false_alarms_per_hour: f64,
     /// Time whose mean moments are the zero, s.
     pub tare_s: f64,
     /// Speed of the base along +z, where it is constant and known, mm/s.
@@ -57,7 +54,6 @@ pub struct StreamSettings {
 struct Whisker<'a> {
     loaded: &'a WhiskerModel<'a>,
     whisker: WhiskerSpec,
-    doubts: String,
     reader: WhiskerReader,
     chain: SignalChain,
     track: WhiskerTrack<'a>,
@@ -68,7 +64,6 @@ struct Whisker<'a> {
     /// Rows are in the beginning without contact until then, s; a network asks for none.
     prefix_s: f64,
     unusable: u64,
-    events: BTreeMap<&'static str, u64>,
 }
 
 /// The tracks of all whiskers with what they share.
@@ -88,7 +83,7 @@ pub struct StreamTracks<'a> {
     gaps: u64,
     next_serial: Option<u64>,
     settings: SignalChainSettings,
-    /// Time in filters, maps and detectors, and in the network.
+    /// Time in filters and maps, and in the network.
     spent: [Duration; 2],
     /// When the first scan was taken, and how long the stream is, s.
     begun: Option<Instant>,
@@ -111,8 +106,6 @@ impl<'a> StreamTracks<'a> {
             out_hz: stream.rate_hz,
             lag_s: stream.lag_s,
             prefix_s: stream.prefix_s,
-            false_alarms_per_hour: stream.false_alarms_per_hour,
-            first_mode_hz: 0.0,
         };
         let one = |l: &'a WhiskerModel<'a>| Whisker::new(&stream, &settings, (place, rig), l);
         Ok(Self {
@@ -221,12 +214,8 @@ impl<'a> StreamTracks<'a> {
             let start = Instant::now();
             let sensed = w.reader.take(reading, dropped)?;
             w.unusable += u64::from(sensed.shift_pm.is_none());
-            let (row, event) = w.chain.push(&sensed);
+            let row = w.chain.push(&sensed);
             self.spent[0] += start.elapsed();
-            if let Some(event) = event {
-                *w.events.entry(event.kind.name()).or_default() += 1;
-                files.event(&w.loaded.name, &w.doubts, &event)?;
-            }
             if let Some(row) = row {
                 let start = Instant::now();
                 let rows = w.row(&row, &self.motion)?;
@@ -239,15 +228,14 @@ impl<'a> StreamTracks<'a> {
         Ok(())
     }
 
-    /// Scans that are missing, that a whisker could not use, and events that a gap cut off.
-    pub fn lost(&self) -> [u64; 3] {
-        let unusable = self.all.iter().map(|w| w.unusable).sum();
-        [self.lost, unusable, self.all.iter().map(|w| w.chain.detector().cut_off()).sum()]
+    /// Scans that are missing, and that a whisker could not use.
+    pub fn lost(&self) -> [u64; 2] {
+        [self.lost, self.all.iter().map(|w| w.unusable).sum()]
     }
 
-    /// Whiskers that never had a quiet prefix: no events were detected.
+    /// Whiskers that never had a quiet prefix: the noise of their rows is not known.
     pub fn unheard(&self) -> Vec<&str> {
-        let silent = self.all.iter().filter(|w| w.chain.detector().noise().is_none());
+        let silent = self.all.iter().filter(|w| w.chain.prefix().block_nmm2().is_none());
         silent.map(|w| w.loaded.name.as_str()).collect()
     }
 
@@ -287,7 +275,6 @@ impl<'a> StreamTracks<'a> {
         let document = StreamDocument {
             rate_hz: self.stream.rate_hz,
             prefix_s: self.stream.prefix_s,
-            false_alarms_per_hour: self.stream.false_alarms_per_hour,
             cut_off,
             dropped_scans: dropped,
             scans: self.scans,
@@ -350,10 +337,7 @@ impl<'a> Whisker<'a> {
         let calibration = l.calibration()?;
         let map = calibration.stream().map_err(ContactError::in_file(&l.place))?;
         let (frame, whisker) = (l.frame()?, l.whisker()?);
-        let chain = SignalChain::new(
-            &SignalChainSettings { first_mode_hz: first_mode_hz(&whisker), ..*settings },
-            map,
-        )?;
+        let chain = SignalChain::new(settings, map)?;
         let (estimator, middle_mm, offset_mm): (Box<dyn Estimator + 'a>, _, _) =
             match l.estimator(stream.vouched) {
                 Some(network) => (Box::new(network), Vector3::zeros(), Vector3::zeros()),
@@ -376,7 +360,6 @@ impl<'a> Whisker<'a> {
         Ok(Self {
             loaded: l,
             whisker,
-            doubts: l.doubts.codes(),
             reader: WhiskerReader::new(place, &rig.interrogator, &l.name, calibration.fbg())?,
             kernel: kernel(chain.filter()),
             chain,
@@ -385,7 +368,6 @@ impl<'a> Whisker<'a> {
             offset_mm,
             prefix_s: stream.prefix_s,
             unusable: 0,
-            events: BTreeMap::new(),
         })
     }
 
@@ -414,25 +396,16 @@ impl<'a> Whisker<'a> {
             base: known.base,
             base_mm_s: known.base_mm_s,
             velocity_mm_s: known.velocity_mm_s,
-            touching: row.touching,
-            in_prefix: row.touching.is_none() && row.t_s < self.prefix_s,
+            in_prefix: self.chain.prefix().block_nmm2().is_none() && row.t_s < self.prefix_s,
         })
     }
 
     fn document(&self, rows: crate::track_document::WhiskerDocument) -> StreamedWhisker {
-        let noise = self.chain.detector().noise().map(|(noise, limits)| NoiseDocument {
-            block_sd_nmm: [noise.block[(0, 0)].sqrt(), noise.block[(1, 1)].sqrt()],
-            level_sd_nmm: [noise.level[(0, 0)].sqrt(), noise.level[(1, 1)].sqrt()],
-            drift_nmm_s: noise.drift_nmm_s,
-            level_limit: limits.level,
-            abrupt_limit: limits.abrupt,
-        });
+        let block_nmm2 = self.chain.prefix().block_nmm2();
         StreamedWhisker {
             whisker: self.loaded.name.clone(),
             unusable_scans: self.unusable,
-            events: self.events.clone(),
-            noise,
-            first_mode_hz: Some(first_mode_hz(&self.whisker)),
+            noise_sd_nmm: block_nmm2.map(|c| [c[(0, 0)].sqrt(), c[(1, 1)].sqrt()]),
             rows,
         }
     }
@@ -450,12 +423,11 @@ fn field(
 }
 
 /// What was lost, for people; none when nothing was.
-pub fn lost_text([lost, unusable, cut_off]: [u64; 3], dropped: u64) -> Option<String> {
+pub fn lost_text([lost, unusable]: [u64; 2], dropped: u64) -> Option<String> {
     let all = [
         (lost, "scans lost"),
         (dropped, "scans dropped here, the tracker being behind"),
         (unusable, "readings not usable"),
-        (cut_off, "events cut off by a gap"),
     ];
     let messages: Vec<String> =
         all.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();

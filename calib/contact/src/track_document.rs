@@ -304,8 +304,6 @@ pub struct StreamDocument {
     pub rate_hz: f64,
     /// Beginning without contact, s.
     pub prefix_s: f64,
-    /// False events an hour at most.
-    pub false_alarms_per_hour: f64,
     /// Recordings that were cut off.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cut_off: Option<Vec<String>>,
@@ -375,30 +373,11 @@ pub struct StreamedWhisker {
     pub whisker: String,
     /// Scans without usable peaks.
     pub unusable_scans: u64,
-    /// Events by kind.
-    pub events: BTreeMap<&'static str, u64>,
-    /// Noise of the prefix without contact, and limits.
-    pub noise: Option<NoiseDocument>,
-    /// First mode of a straight wire in air, Hz.
-    pub first_mode_hz: Option<f64>,
+    /// Noise of means over 2 ms in the prefix without contact, N mm.
+    pub noise_sd_nmm: Option<[f64; 2]>,
     /// Its rows.
     #[serde(flatten)]
     pub rows: WhiskerDocument,
-}
-
-/// Noise of a stream's beginning, and the limits of its events.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
-pub struct NoiseDocument {
-    /// Of means over 2 ms, N mm.
-    pub block_sd_nmm: [f64; 2],
-    /// Of the level, N mm.
-    pub level_sd_nmm: [f64; 2],
-    /// Drift, N mm/s.
-    pub drift_nmm_s: f64,
-    /// Limit of the level's statistic.
-    pub level_limit: f64,
-    /// Limit of the abrupt one.
-    pub abrupt_limit: f64,
 }
 
 /// Where the motion of a stream comes from.

@@ -1,4 +1,4 @@
-//! `track.csv` and `track-events.csv`.
+//! `track.csv`.
 
 use crate::ContactError;
 use crate::estimator::ContactEstimate;
@@ -10,17 +10,13 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use wcal_core::stream::{Flags, StreamMoments};
-use wcal_track::stream::{BasePose, ContactEvent};
+use wcal_track::stream::BasePose;
 
 const COLUMNS: &str = "point,t_s,moment_1_nmm,moment_2_nmm,outside_valid_region,calibration_doubtful,contact_probability,\
      contact_x_mm,contact_y_mm,contact_z_mm,var_xx_mm2,var_yy_mm2,var_zz_mm2,cov_xy_mm2,cov_xz_mm2,cov_yz_mm2,\
      whisker,status,doubts,moment_1_sd_nmm,moment_2_sd_nmm,base_speed_mm_s,world_x_mm,world_y_mm,world_z_mm,world_var_xx_mm2,\
-     world_var_yy_mm2,world_var_zz_mm2,world_cov_xy_mm2,world_cov_xz_mm2,world_cov_yz_mm2,touching,segment,arclength_regions95,\
+     world_var_yy_mm2,world_var_zz_mm2,world_cov_xy_mm2,world_cov_xz_mm2,world_cov_yz_mm2,segment,arclength_regions95,\
      several_probability,object_distance_mm";
-
-/// Columns of the events.
-pub const EVENT_COLUMNS: &str = "whisker,kind,t_s,sd_s,known_s,before_1_nmm,before_2_nmm,after_1_nmm,after_2_nmm,statistic,limit,\
-     ring_hz,ring_q,ring_amplitude_nmm,doubts";
 
 /// A row of a track.
 #[derive(Debug, Clone)]
@@ -43,8 +39,6 @@ pub struct TrackRow {
     pub base_mm_s: Option<f64>,
     /// Pose of the base.
     pub base: Option<BasePose>,
-    /// Whether the event detector sees contact.
-    pub touching: Option<bool>,
     /// Contact interval that the row belongs to.
     pub segment: Option<u64>,
     /// 95 % region of highest density over the arc length.
@@ -91,11 +85,10 @@ impl TrackRow {
         let world = self.world();
         cells(&mut out, world.as_ref().map(|p| p.0.as_slice()), 3, 4);
         cells(&mut out, world.as_ref().map(|p| spread(&p.1)).as_ref().map(|v| &v[..]), 6, 4);
-        let touching = self.touching.map_or_else(String::new, |t| u8::from(t).to_string());
         let segment = self.segment.map_or_else(String::new, |n| n.to_string());
         let piece = |r: &Region| format!("{:.2}-{:.2}@{:.3}", r.from_mm, r.to_mm, r.probability);
         let regions = self.regions.iter().map(piece).collect::<Vec<_>>().join("|");
-        let _ = write!(out, ",{touching},{segment},{regions}");
+        let _ = write!(out, ",{segment},{regions}");
         cells(&mut out, self.several.map(|p| [p]).as_ref().map(|v| &v[..]), 1, 4);
         cells(&mut out, self.object_mm.map(|d| [d]).as_ref().map(|v| &v[..]), 1, 4);
         out.push('\n');
@@ -112,25 +105,19 @@ impl TrackRow {
 #[derive(Debug)]
 pub struct TrackFiles {
     rows: BufWriter<File>,
-    events: Option<BufWriter<File>>,
     out: PathBuf,
 }
 
 impl TrackFiles {
-    /// Opens them; a stream has events.
+    /// Opens the table.
     ///
     /// # Errors
-    /// Where one cannot be made.
-    pub fn create(out: &Path, events: bool) -> Result<Self, ContactError> {
-        let open = |path: &Path, columns: &str| -> Result<BufWriter<File>, ContactError> {
-            let file = File::create(path).map_err(ContactError::file("creating", path))?;
-            let mut file = BufWriter::new(file);
-            writeln!(file, "{columns}").map_err(ContactError::file("writing", path))?;
-            Ok(file)
-        };
-        let rows = open(out, COLUMNS)?;
-        let events = events.then(|| open(&companion(out, "-events.csv"), EVENT_COLUMNS)).transpose()?;
-        Ok(Self { rows, events, out: out.to_owned() })
+    /// Where it cannot be made.
+    pub fn create(out: &Path) -> Result<Self, ContactError> {
+        let file = File::create(out).map_err(ContactError::file("creating", out))?;
+        let mut rows = BufWriter::new(file);
+        writeln!(rows, "{COLUMNS}").map_err(ContactError::file("writing", out))?;
+        Ok(Self { rows, out: out.to_owned() })
     }
 
     /// Writes a row.
@@ -140,31 +127,6 @@ impl TrackFiles {
     pub fn row(&mut self, row: &TrackRow) -> Result<(), ContactError> {
         let written = self.rows.write_all(row.line().as_bytes());
         written.map_err(ContactError::file("writing", &self.out))
-    }
-
-    /// Writes an event, at once on disk.
-    ///
-    /// # Errors
-    /// When the disk does not take it.
-    pub fn event(&mut self, whisker: &str, doubts: &str, e: &ContactEvent) -> Result<(), ContactError> {
-        let Some(file) = &mut self.events else { return Ok(()) };
-        let [before, after] = e.moments_nmm;
-        let ring = e.ring.map_or_else(|| ",,".to_owned(), |[hz, q, a]| format!("{hz:.2},{q:.1},{a:.4}"));
-        let line = format!(
-            "{whisker},{},{:.5},{:.5},{:.5},{:.5},{:.5},{:.5},{:.5},{:.1},{:.1},{ring},{doubts}\n",
-            e.kind.name(),
-            e.t_s,
-            e.sd_s,
-            e.known_s,
-            before[0],
-            before[1],
-            after[0],
-            after[1],
-            e.statistic,
-            e.limit
-        );
-        let written = file.write_all(line.as_bytes()).and_then(|()| file.flush());
-        written.map_err(ContactError::file("writing", &companion(&self.out, "-events.csv")))
     }
 
     /// Brings everything so far into the files.

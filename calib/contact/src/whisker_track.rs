@@ -126,7 +126,7 @@ impl<'a> WhiskerTrack<'a> {
     }
 
     fn row(&mut self, reading: Reading, moments: Option<StreamMoments>, contact: Contact) -> TrackRow {
-        let Reading { point, t_s, base, base_mm_s, touching, .. } = reading;
+        let Reading { point, t_s, base, base_mm_s, .. } = reading;
         let Contact { estimate, regions, several, number, on_object, .. } = contact;
         let estimate = estimate.map(|e| in_base_frame(&self.frame, e));
         if let (Some(groove), Some(estimate)) = (&mut self.groove, &estimate) {
@@ -155,7 +155,6 @@ impl<'a> WhiskerTrack<'a> {
             estimate,
             base_mm_s,
             base,
-            touching,
             segment: number.or(segment.filter(|_| self.followed)),
             regions,
             several,

@@ -1,9 +1,7 @@
-//! One whisker from compensated shifts to rows for the tracker and events: filter, map, detector.
+//! One whisker from compensated shifts to rows for the tracker: filter and map.
 
-use super::event::{ContactEvent, EventSettings};
-use super::events::EventDetector;
 use super::low_pass::LowPass;
-use super::noise::BLOCK_S;
+use super::noise::{BLOCK_S, Prefix};
 use crate::error::TrackError;
 use nalgebra::Matrix2;
 use wcal_core::stream::{Flags, MomentSpread, MomentStream, StreamMoments, WhiskerReading};
@@ -19,10 +17,6 @@ pub struct SignalChainSettings {
     pub lag_s: f64,
     /// No-contact prefix, s.
     pub prefix_s: f64,
-    /// False alarms an hour.
-    pub false_alarms_per_hour: f64,
-    /// First mode of the free wire, Hz.
-    pub first_mode_hz: f64,
 }
 
 /// A row: what the tracker takes, or why there is nothing to take.
@@ -36,21 +30,18 @@ pub struct Row {
     pub flags: Flags,
     /// Moments; none while the filter fills.
     pub moments: Option<StreamMoments>,
-    /// Whether the event detector sees contact; none during its prefix.
-    pub touching: Option<bool>,
 }
 
 /// The chain of one whisker.
 pub struct SignalChain {
     map: Box<dyn MomentStream>,
     filter: LowPass<3>,
-    detector: EventDetector,
+    prefix: Prefix,
     rate_hz: f64,
     every: u64,
     due: Option<u64>,
     since: Flags,
     broken: bool,
-    last_good_s: Option<f64>,
 }
 
 impl SignalChain {
@@ -59,28 +50,23 @@ impl SignalChain {
     /// # Errors
     /// Names the rate or the lag that cannot be used.
     pub fn new(settings: &SignalChainSettings, map: Box<dyn MomentStream>) -> Result<Self, TrackError> {
-        let SignalChainSettings { rate_hz, out_hz, lag_s, prefix_s, false_alarms_per_hour, first_mode_hz } =
-            *settings;
+        let SignalChainSettings { rate_hz, out_hz, lag_s, prefix_s } = *settings;
         let filter = LowPass::new(rate_hz, out_hz, lag_s).ok_or_else(|| {
             let expected = "a rate up to that of the scans, and a lag of a scan or more";
             TrackError::value("filter", expected, format!("{out_hz} Hz of {rate_hz} Hz, lag {lag_s} s"))
         })?;
-        let above = [prefix_s, false_alarms_per_hour, first_mode_hz];
-        if !above.iter().all(|x| *x > 0.0 && x.is_finite()) {
-            let expected = "prefix, false alarms and first mode above 0";
-            return Err(TrackError::value("events", expected, format!("{above:?}")));
+        if !(prefix_s > 0.0 && prefix_s.is_finite()) {
+            return Err(TrackError::value("prefix", "above 0 s", format!("{prefix_s} s")));
         }
-        let events = EventSettings { rate_hz, prefix_s, false_alarms_per_hour, first_mode_hz };
         Ok(Self {
             map,
             filter,
-            detector: EventDetector::new(events),
+            prefix: Prefix::new(prefix_s, rate_hz),
             rate_hz,
             every: ((rate_hz / out_hz).round() as u64).max(1),
             due: None,
             since: Flags::default(),
             broken: false,
-            last_good_s: None,
         })
     }
 
@@ -89,9 +75,9 @@ impl SignalChain {
         &self.filter
     }
 
-    /// The event detector.
-    pub fn detector(&self) -> &EventDetector {
-        &self.detector
+    /// Noise of the beginning.
+    pub fn prefix(&self) -> &Prefix {
+        &self.prefix
     }
 
     /// What the spread of the last row's moments is made of.
@@ -101,33 +87,33 @@ impl SignalChain {
 
     /// Covariance of a row's own noise as in the prefix, (N mm)^2: that of the scans through the filter; none before the prefix is over.
     pub fn row_noise_nmm2(&self) -> Option<Matrix2<f64>> {
-        let (noise, _) = self.detector.noise()?;
+        let block_nmm2 = self.prefix.block_nmm2()?;
         // Scans of white noise: the mean of a block has 1 / n of their variance.
         let scans = (BLOCK_S * self.rate_hz).round().max(1.0);
-        Some(noise.block * scans * self.filter.noise_gain().powi(2))
+        Some(block_nmm2 * scans * self.filter.noise_gain().powi(2))
     }
 
     /// Takes a reading. A gap or an unusable reading empties the filter: no row is made from values that were not measured.
-    pub fn push(&mut self, sensed: &WhiskerReading) -> (Option<Row>, Option<ContactEvent>) {
+    pub fn push(&mut self, sensed: &WhiskerReading) -> Option<Row> {
         let WhiskerReading { serial, t_s, shift_pm, rise_degc, flags } = *sensed;
         let interrupted = Flags::GAP.with(Flags::CLOCK).with(Flags::DROPPED);
         self.broken |= flags.0 & interrupted.0 != 0 || shift_pm.is_none();
-        let mut event = None;
         if let Some(shift) = shift_pm {
             if std::mem::take(&mut self.broken) {
                 self.filter.restart();
-                self.detector.gap(self.last_good_s.map_or(0.0, |last| (t_s - last).max(0.0)));
+                self.prefix.gap();
             }
-            self.last_good_s = Some(t_s);
             self.filter.push(t_s, [shift[0], shift[1], rise_degc]);
-            event = self.detector.push(t_s, self.map.quick_nmm(t_s, shift, rise_degc));
+            if self.prefix.block_nmm2().is_none() {
+                self.prefix.push(t_s, self.map.quick_nmm(t_s, shift, rise_degc));
+            }
         }
         self.since = self.since.with(flags);
         let due = *self.due.get_or_insert(serial + self.every - 1);
         // After a gap there is one row, not one for every row that is missing; a unit that starts anew counts from the bottom.
         let anew = flags.has(Flags::GAP) && serial + self.every < due;
         if serial < due && !anew {
-            return (None, event);
+            return None;
         }
         self.due = Some(
             if anew { serial } else { due } + ((serial.saturating_sub(due)) / self.every + 1) * self.every,
@@ -142,9 +128,7 @@ impl SignalChain {
             }
         };
         let t_s = moments.map_or(t_s - self.filter.lag_s(), |m| m.0);
-        let row =
-            Row { serial, t_s, flags, moments: moments.map(|m| m.1), touching: self.detector.contact() };
-        (Some(row), event)
+        Some(Row { serial, t_s, flags, moments: moments.map(|m| m.1) })
     }
 }
 
@@ -170,14 +154,7 @@ mod tests {
     }
 
     fn settings() -> SignalChainSettings {
-        SignalChainSettings {
-            rate_hz: 2000.0,
-            out_hz: 10.0,
-            lag_s: 0.1,
-            prefix_s: 1.0,
-            false_alarms_per_hour: 1.0,
-            first_mode_hz: 38.0,
-        }
+        SignalChainSettings { rate_hz: 2000.0, out_hz: 10.0, lag_s: 0.1, prefix_s: 1.0 }
     }
 
     fn sensed(serial: u64) -> WhiskerReading {
@@ -193,7 +170,7 @@ mod tests {
 
     fn rows(scans: impl Iterator<Item = WhiskerReading>) -> Vec<Row> {
         let mut chain = SignalChain::new(&settings(), Box::new(Plain)).unwrap();
-        scans.filter_map(|s| chain.push(&s).0).collect()
+        scans.filter_map(|s| chain.push(&s)).collect()
     }
 
     #[test]

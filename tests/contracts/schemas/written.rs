@@ -207,7 +207,6 @@ pub fn tables(folder: &Path) -> Vec<(String, String)> {
         "table.csv",
         "groove.csv",
         "stream.csv",
-        "stream-events.csv",
         "session/points.csv",
         "session/holdout.csv",
         "session/compensation.csv",

@@ -150,7 +150,7 @@ pub fn not_told(
     behind: f64,
 ) -> bool {
     let measured = |h: &Hypothesis| {
-        let needs = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).needs;
+        let needs = |t: &EffectTerm| &system.catalogue()[t.effect].law(t.law).needs;
         h.fit.terms.iter().any(|t| needs(t).contains(&LawRequirement::Temperature))
     };
     measured(best) != measured(h)

@@ -39,7 +39,7 @@ fn extend(system: &dyn MeasurementModel, from: &Hypothesis, signatures: &[Signat
     let mut out: Vec<Hypothesis> = ranked
         .par_iter()
         .flat_map_iter(|&(key, top)| {
-            let laws = system.catalogue()[key.effect].laws();
+            let laws = &system.catalogue()[key.effect].laws;
             // Laws are rivals of their own; within a law the best point of the grid starts the refit.
             let starts: Vec<Vec<EffectTerm>> = (0..laws.len())
                 .filter_map(|l| {
@@ -85,11 +85,11 @@ fn by_subsets(
             if known.contains(&s.key(system.catalogue(), signatures)) {
                 return None;
             }
-            let law = |a: &Signature| system.catalogue()[a.term.effect].law(a.term.law).clone();
+            let law = |a: &Signature| system.catalogue()[a.term.effect].law(a.term.law);
             Some(
                 s.signatures
                     .iter()
-                    .map(|&i| signatures[i].start(&residual, &law(&signatures[i])))
+                    .map(|&i| signatures[i].start(&residual, law(&signatures[i])))
                     .collect::<Vec<EffectTerm>>(),
             )
         })
@@ -243,7 +243,7 @@ fn laws(system: &dyn MeasurementModel, h: &Hypothesis) -> Vec<String> {
 
 /// Identifiers of what terms stand for.
 fn names(system: &dyn MeasurementModel, key: &[TermKey]) -> Vec<String> {
-    key.iter().map(|k| system.catalogue()[k.effect].id().to_owned()).collect()
+    key.iter().map(|k| system.catalogue()[k.effect].id.to_owned()).collect()
 }
 
 /// An explanation that the design does not identify, and why.

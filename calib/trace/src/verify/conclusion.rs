@@ -147,7 +147,7 @@ impl Conclusion {
 
 /// Identifiers of an explanation's effects, flagged readings among them.
 pub fn ids<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
-    h.effects(model.outliers()).iter().map(|&e| model.catalogue()[e].id().to_owned()).collect()
+    h.effects(model.outliers()).iter().map(|&e| model.catalogue()[e].id.to_owned()).collect()
 }
 
 /// Law of a term, and its further column.
@@ -159,7 +159,7 @@ fn law<M: SessionModel>(model: &M, t: &EffectTerm) -> String {
 
 /// Names and laws of an explanation's terms.
 pub fn laws<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
-    let of = |t: &EffectTerm| format!("{} {}", model.catalogue()[t.effect].id(), law(model, t));
+    let of = |t: &EffectTerm| format!("{} {}", model.catalogue()[t.effect].id, law(model, t));
     h.fit.terms.iter().map(of).collect()
 }
 
@@ -168,7 +168,7 @@ fn drivers<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<(usize, Vec<LawReq
     let driver = |t: &EffectTerm| {
         let effect = &model.catalogue()[t.effect];
         let column = effect.column(t.law, model.further_columns()).map(str::to_owned);
-        (t.effect, effect.law(t.law).needs, column)
+        (t.effect, effect.law(t.law).needs.clone(), column)
     };
     let mut all: Vec<_> = h.fit.terms.iter().map(driver).collect();
     all.sort_by_key(|(effect, needs, column)| (*effect, needs.len(), column.clone()));
@@ -203,7 +203,7 @@ fn named<M: SessionModel>(
     classmates: &[&Hypothesis],
 ) -> Vec<NamedEffect> {
     let own = h.effects(model.outliers());
-    let id = |e: usize| model.catalogue()[e].id().to_owned();
+    let id = |e: usize| model.catalogue()[e].id.to_owned();
     let class_of = |e: usize| {
         let mut class = vec![id(e)];
         for mate in classmates {
@@ -225,7 +225,7 @@ fn named<M: SessionModel>(
             class: class_of(e),
             p_value: removal_p(model, found, h, e),
             parameters: model.parameters(h, e),
-            sentence: model.format_text(model.catalogue()[e].sentence()),
+            sentence: model.format_text(model.catalogue()[e].sentence),
         })
         .collect()
 }

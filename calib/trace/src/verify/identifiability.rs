@@ -36,7 +36,7 @@ pub fn left_out<M: SessionModel>(
             let extra = (b.dof - a.dof).max(1.0) as usize;
             let single = f_test(b.ssr - a.ssr, b.ssr, b.dof, extra);
             Some(EffectAblation {
-                id: model.catalogue()[effect].id().to_owned(),
+                id: model.catalogue()[effect].id.to_owned(),
                 misfit_ratio: (b.ssr / a.ssr).sqrt(),
                 p_value: found.first_test.family.adjusted(single),
                 held_out: with,

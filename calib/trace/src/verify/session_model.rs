@@ -96,8 +96,6 @@ pub trait SessionText: MeasurementModel {
     }
     /// What takes up a signature of which nothing is left.
     fn nuisances(&self) -> &'static str;
-    /// Name of a coefficient of the declared model.
-    fn nuisance(&self, column: usize) -> String;
     /// Remarks of this kind of session.
     fn notes(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Vec<String> {
         Vec::new()
@@ -174,8 +172,6 @@ pub trait SessionModel: SessionText + Sized {
     fn quantities(&self) -> &'static [Quantity];
     /// Errors of one reading.
     fn errors(&self, predictions: &Self::Predictions, reading: usize) -> HeldOut;
-    /// The same after a correction of the measured value.
-    fn corrected(&self, predictions: &Self::Predictions, reading: usize, added: &[f64]) -> HeldOut;
     /// Folds where nothing is sealed.
     fn folds(&self) -> Folds;
     /// The same where the accepted model asks for others: what it learned of a place cannot be left out with all readings there.

@@ -82,10 +82,6 @@ impl SessionText for ScalarSystem {
         "the declared model"
     }
 
-    fn nuisance(&self, column: usize) -> String {
-        if self.axis() { "constant".to_owned() } else { format!("b{column}") }
-    }
-
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
         let (used, total) = (self.frame.rows.len(), self.points());
         let mut notes = Vec::new();
@@ -124,7 +120,7 @@ impl SessionModel for ScalarSystem {
     }
 
     fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
-        if self.catalogue()[effect].id() == ERROR_TABLE {
+        if self.catalogue()[effect].id == ERROR_TABLE {
             return deviations(self, &h.fit);
         }
         of_effect(self, &h.fit, effect, self.names())
@@ -140,7 +136,7 @@ impl SessionModel for ScalarSystem {
             SpreadLaw::Power => ("power", "exponent"),
             SpreadLaw::Exponential => ("exponential", "log_sd_per_half_range"),
         };
-        let sentence = self.catalogue().iter().find(|c| c.id() == HETEROSCEDASTIC_NOISE);
+        let sentence = self.catalogue().iter().find(|c| c.id == HETEROSCEDASTIC_NOISE);
         Some(NamedEffect {
             id: HETEROSCEDASTIC_NOISE.to_owned(),
             laws: vec![law.to_owned()],
@@ -152,7 +148,7 @@ impl SessionModel for ScalarSystem {
                 unit: "1".to_owned(),
                 interval95: spread.interval95,
             }],
-            sentence: self.format_text(sentence.map_or("", |c| c.sentence())),
+            sentence: self.format_text(sentence.map_or("", |c| c.sentence)),
         })
     }
 
@@ -227,11 +223,7 @@ impl SessionModel for ScalarSystem {
     }
 
     fn errors(&self, predictions: &ScalarPredictions, reading: usize) -> HeldOut {
-        self.corrected(predictions, reading, &[0.0])
-    }
-
-    fn corrected(&self, predictions: &ScalarPredictions, reading: usize, added: &[f64]) -> HeldOut {
-        let error = self.measured()[(reading, 0)] - predictions.value[reading] - added[0];
+        let error = self.measured()[(reading, 0)] - predictions.value[reading];
         HeldOut {
             group: self.frame.groups[reading],
             errors: vec![vec![error]],

@@ -27,7 +27,7 @@ const MIN_HALF: usize = 15;
 
 /// Refits the accepted explanation on each half, in the order of its variable. None without a periodic effect.
 pub fn stationarity(system: &ScalarSystem, h: &Hypothesis) -> Option<Stationarity> {
-    let place = h.fit.terms.iter().position(|t| system.catalogue()[t.effect].id() == PERIODIC)?;
+    let place = h.fit.terms.iter().position(|t| system.catalogue()[t.effect].id == PERIODIC)?;
     let term = &h.fit.terms[place];
     let slot: usize = h.fit.terms[..place].iter().map(|t| t.values.len()).sum();
     let linear = |t: &crate::effect::EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();

@@ -2,7 +2,6 @@
 
 use super::physical::PhysicalModel;
 use super::system::WhiskerSystem;
-use super::whisker_effect::ActiveEffect;
 use crate::effect::EffectTerm;
 use crate::verify::HeldOut;
 use crate::verify::judgement::JudgedReading;
@@ -35,7 +34,7 @@ pub fn of_model(
     model: &PhysicalModel,
     only_sealed: bool,
 ) -> Option<Vec<JudgedReading>> {
-    let terms: Vec<EffectTerm> = model.terms().into_iter().map(ActiveEffect::into_term).collect();
+    let terms: Vec<EffectTerm> = model.terms().into_iter().map(|a| a.term).collect();
     let (sensed, base) = system.moments(&terms)?;
     let memory: Vec<[f64; 2]> = base.iter().zip(&sensed).map(|(b, f)| [b[0] - f[0], b[1] - f[1]]).collect();
     let inferred = model.infer(&system.path, Some(&memory));

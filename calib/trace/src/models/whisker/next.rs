@@ -212,7 +212,7 @@ pub fn next_measurement(
             let effect = &system.catalogue()[t.effect];
             let by_clock =
                 |need: &LawRequirement| matches!(need, LawRequirement::Time | LawRequirement::Temperature);
-            effect.needs().iter().any(by_clock) && !effect.has_memory()
+            effect.needs().iter().any(by_clock) && !effect.has_memory
         };
         let needed = if rivals.iter().chain([&best]).any(|h| h.fit.terms.iter().any(slow)) {
             "the temperature has to change otherwise than steadily with time: warm the rod_tables by some kelvin, let it cool, and take a rest \

@@ -41,7 +41,7 @@ impl WhiskerSystem {
             });
         }
         for a in &active {
-            a.effect.pictures(&a.values(), &mut seen);
+            (a.effect.pictures)(&a.values(), &mut seen);
         }
         Some(seen)
     }

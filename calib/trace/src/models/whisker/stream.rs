@@ -17,7 +17,7 @@ struct EffectMemories {
 
 impl EffectMemories {
     fn new(terms: Vec<ActiveEffect>) -> Self {
-        let memories = terms.iter().filter_map(|a| a.effect.memory(&a.values())).collect();
+        let memories = terms.iter().filter_map(ActiveEffect::memory).collect();
         Self { terms, memories }
     }
 

@@ -4,10 +4,8 @@ use super::session_model::SessionModel;
 use super::support::supported;
 use crate::effect::{EffectTerm, LawRequirement};
 use crate::error::TraceError;
-use crate::method::fit::fit;
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference::in_class;
-use crate::method::min_p::f_test;
 use crate::method::omnibus::{CovariateScore, LACK_OF_FIT_LEVEL, OmnibusTest};
 use wcal_core::verify_document::{NamedEffect, TwinFault, UnknownEffect, Verdict};
 
@@ -129,19 +127,20 @@ impl Conclusion {
     /// The unsealed readings contradict the accepted model: nothing may be called adequate, explained or accepted on request then.
     /// No driver is named: the fitted readings show none.
     pub fn contradicted(&mut self, p: f64, on_request: bool) {
-        let claimed = match self.verdict {
+        if self.claims(on_request) {
+            self.not_accepted(&format!(
+                "The held-out readings contradict what the fitted readings allow (p = {p:.1e}): something acts there that they do not show."
+            ));
+        }
+    }
+
+    /// Whether the verdict claims that a model holds.
+    pub fn claims(&self, on_request: bool) -> bool {
+        match self.verdict {
             Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
             Verdict::Ambiguous => on_request,
-            _ => false,
-        };
-        if !claimed {
-            return;
+            Verdict::UnknownEffect | Verdict::Refused => false,
         }
-        self.verdict = Verdict::UnknownEffect;
-        self.reason = format!(
-            "The held-out readings contradict what the fitted readings allow (p = {p:.1e}): something acts there that they do not show. {}",
-            self.reason
-        );
     }
 }
 
@@ -189,10 +188,8 @@ fn removal_p<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis, e
     if Some(effect) == model.outliers() {
         return h.flag_p;
     }
-    let terms: Vec<_> = h.fit.terms.iter().filter(|t| t.effect != effect).cloned().collect();
-    let Some(without) = fit(model, &terms, &h.weights, 15) else { return 1.0 };
-    let extra = (without.dof - h.fit.dof).max(1.0) as usize;
-    found.first_test.family.adjusted(f_test(without.ssr - h.fit.ssr, without.ssr, without.dof, extra))
+    let without = h.without(model, |_, t| t.effect == effect, 15);
+    without.map_or(1.0, |without| without.removal_p(&h.fit, &found.first_test.family))
 }
 
 /// Names the effects of `h`; `class` comes from the survivors of its class.

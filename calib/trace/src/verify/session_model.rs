@@ -5,12 +5,13 @@ use crate::method::explain::{Explained, explain};
 use crate::method::fit::Weights;
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::lack_of_fit::LackOfFit;
-use crate::method::noise::{Estimated, Noise};
+use crate::method::noise::Noise;
 use crate::verify::options::VerifyOptions;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::Role;
 use wcal_core::verify_document::{
-    EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, SecondWitness, TwinFault, UnknownEffect,
+    EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, NoisePart, SecondWitness, TwinFault,
+    UnknownEffect,
 };
 
 /// A held-out error of `verify.json`.
@@ -198,7 +199,7 @@ pub trait SessionModel: SessionText + Sized {
         None
     }
     /// How the zero varies from session to session, where several were joined.
-    fn between_sessions(&self, _accepted: &Hypothesis) -> Option<Estimated> {
+    fn between_sessions(&self, _accepted: &Hypothesis) -> Option<NoisePart> {
         None
     }
 }

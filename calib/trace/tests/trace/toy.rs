@@ -24,9 +24,8 @@ pub const NOISE: f64 = 0.1;
 
 fn catalogue() -> Vec<Effect> {
     const GRID: &[f64] = &[0.2, 0.4, 0.6, 0.8];
-    let shelf = |name| {
-        law(name).amplitude("height", "1", [0.0, 0.5], 0.02).shape("place", "1", [0.02, 0.98], GRID)
-    };
+    let shelf =
+        |name| law(name).amplitude("height", "1", [0.0, 0.5], 0.02).shape("place", "1", [0.02, 0.98], GRID);
     let two = shelf("two").amplitude("second_height", "1", [0.0, 0.5], 0.02);
     let two = two.shape("second_place", "1", [0.02, 0.98], GRID);
     let effect = |id, law| Effect::new(id, "Something acts.", vec![law]);
@@ -60,12 +59,7 @@ impl ToySystem {
             let z: f64 = StandardNormal.sample(&mut rng);
             LINE[0] + LINE[1] * x[i] + extra(i, x[i]) + NOISE * z
         });
-        Self {
-            x,
-            measured,
-            catalogue: catalogue(),
-            groups: (0..READINGS).map(|i| (i / 10) as u32).collect(),
-        }
+        Self { x, measured, catalogue: catalogue(), groups: (0..READINGS).map(|i| (i / 10) as u32).collect() }
     }
 }
 

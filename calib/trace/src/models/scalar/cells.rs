@@ -159,15 +159,14 @@ impl ScalarSystem {
         let levels = self.levels(&h.weights);
         let cycles = self.cycles(&h.weights);
         (0..h.fit.terms.len()).find_map(|k| {
-            let mut terms = h.fit.terms.clone();
-            let term = terms.remove(k);
-            let without = fit(self, &terms, &h.weights, STEPS)?;
-            let by_clock = self.runs_with_the_clock(&term);
+            let (term, without) = (&h.fit.terms[k], h.without(self, |j, _| j == k, STEPS)?.fit);
+            let terms: Vec<EffectTerm> = h.fit.terms.iter().filter(|t| *t != term).cloned().collect();
+            let by_clock = self.runs_with_the_clock(term);
             let why = |why: String| Some(NotIdentified { effect: term.effect, why });
-            if let Some(plainer) = self.not_told_from(&terms, &term, h) {
+            if let Some(plainer) = self.not_told_from(&terms, term, h) {
                 return why(format!("on this range it cannot be distinguished from {plainer}"));
             }
-            if self.too_little_of_it(&terms, &term, h) {
+            if self.too_little_of_it(&terms, term, h) {
                 return why("a bend of fewer periods describes the readings as well".to_owned());
             }
             if let Some(strata) = &strata
@@ -214,7 +213,10 @@ impl ScalarSystem {
             let terms: Vec<EffectTerm> = others.iter().cloned().chain([other]).collect();
             fit(self, &terms, &h.weights, 0).is_some_and(|f| f.ssr < h.fit.ssr + 4.0 * h.fit.variance())
         };
-        effect.too_little_of_it.iter().any(|shape| (0..effect.effect.laws.len()).any(|law| better(law, *shape)))
+        effect
+            .too_little_of_it
+            .iter()
+            .any(|shape| (0..effect.effect.laws.len()).any(|law| better(law, *shape)))
     }
 
     /// Strata of the design; none where no cell is repeated.

@@ -23,7 +23,6 @@ use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Reco
 use crate::verify::{HeldOut, SessionModel, SessionText, VerifyOptions};
 use nalgebra::DVector;
 use wcal_core::ResidualRecord;
-use wcal_core::observation::Role;
 use wcal_core::verify_document::{EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, UnknownEffect};
 
 /// Predictions at every row, in the system's own values, with half widths of 95 % intervals.
@@ -262,7 +261,7 @@ impl SessionModel for ScalarSystem {
             source,
             line,
             point,
-            role: role(row.role).to_owned(),
+            role: format!("{:?}", row.role).to_lowercase(),
             group: self.frame.groups[i],
             channel: if self.axis() { "error" } else { "response" }.to_owned(),
             unit: self.unit(),
@@ -273,14 +272,5 @@ impl SessionModel for ScalarSystem {
             rejected: at.rejected.clone(),
             covariates: at.covariates.clone(),
         }]
-    }
-}
-
-fn role(role: Role) -> &'static str {
-    match role {
-        Role::Rest => "rest",
-        Role::Calibration => "calibration",
-        Role::Verification => "verification",
-        Role::Holdout => "holdout",
     }
 }

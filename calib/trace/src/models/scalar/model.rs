@@ -353,8 +353,10 @@ impl ScalarModel {
     /// As [`Self::predict`], and where the response does not determine the stimulus.
     pub fn invert(&self, rows: &[ScalarRow]) -> Result<Vec<ScalarPrediction>, ModelError> {
         let no = |why: &str| ModelError::Column { effect: "the inverse".into(), needs: why.to_owned() };
-        let catalogue =
-            scalar_catalogue(&Frame::of_new_rows(Vec::new(), &self.scaling, self.declared), self.covariates.len());
+        let catalogue = scalar_catalogue(
+            &Frame::of_new_rows(Vec::new(), &self.scaling, self.declared),
+            self.covariates.len(),
+        );
         let remembers = |t: &&ModelTerm| catalogue.iter().any(|e| e.effect.id == t.id && e.effect.has_memory);
         if let Some(t) = self.effects.iter().find(remembers) {
             return Err(no(&format!("a model without memory (it carries {}); give the stimulus", t.id)));

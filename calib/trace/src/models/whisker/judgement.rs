@@ -3,6 +3,7 @@
 use super::physical::PhysicalModel;
 use super::system::WhiskerSystem;
 use crate::effect::EffectTerm;
+use crate::method::inference::NORMAL_95;
 use crate::verify::HeldOut;
 use crate::verify::judgement::JudgedReading;
 use crate::verify::session_model::Quantity;
@@ -10,8 +11,6 @@ use wcal_map::{MapArtefact, MapPredictor};
 
 /// Only moments are judged: a map has no other prediction.
 pub const QUANTITIES: [Quantity; 1] = [Quantity { key: "moment_rmse_nmm", unit: "N mm" }];
-/// Two-sided 95 % of a Gaussian.
-const NORMAL_95: f64 = 1.96;
 
 fn judged(group: u32, inferred: [f64; 2], sd: [f64; 2], pose: [f64; 2]) -> JudgedReading {
     let error = [0, 1].map(|c| inferred[c] - pose[c]);

@@ -14,8 +14,8 @@ use crate::measurement_model::MeasurementModel;
 use crate::method::explain::{Explained, explain};
 use crate::method::fit::{Fit, Weights};
 use crate::method::hypothesis::{Hypothesis, SearchResult};
-use crate::method::inference;
-use crate::method::noise::{Estimated, Noise};
+use crate::method::inference::{self, NORMAL_95};
+use crate::method::noise::Noise;
 use crate::method::omnibus::COVARIATE_LEVEL;
 use crate::method::search::declared;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
@@ -23,7 +23,9 @@ use crate::verify::{HeldOut, SessionModel, SessionText, VerifyOptions};
 use nalgebra::Vector2;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::WhiskerRow;
-use wcal_core::verify_document::{EffectParameter, NextMeasurement, NoiseFloor, SecondWitness, TwinFault};
+use wcal_core::verify_document::{
+    EffectParameter, NextMeasurement, NoiseFloor, NoisePart, SecondWitness, TwinFault,
+};
 
 /// Change of the channels' shared noise from which the search is made again.
 const WHITENING_CHANGED: f64 = 1.1;
@@ -37,8 +39,6 @@ const OVERSTATED: f64 = 1.25;
 const MIN_OWN_SHARE: f64 = 0.2;
 /// Share of the whole gain from which one witness decides alone.
 const DECIDES: f64 = 0.8;
-/// Two-sided 95 % of a Gaussian.
-const NORMAL_95: f64 = 1.96;
 /// From the optimum of all readings two Gauss-Newton steps reach that of all but one trajectory.
 const REFIT_STEPS: usize = 2;
 
@@ -298,7 +298,7 @@ impl SessionModel for WhiskerSystem {
         Some(report)
     }
 
-    fn between_sessions(&self, accepted: &Hypothesis) -> Option<Estimated> {
+    fn between_sessions(&self, accepted: &Hypothesis) -> Option<NoisePart> {
         spread_of_zeros(self, &accepted.fit).map(|b| b.session)
     }
 }

@@ -251,16 +251,7 @@ impl PhysicalModel {
         path: &WhiskerPath,
         sensed: &[[f64; 2]],
     ) -> Vec<Vec<f64>> {
-        let mut columns = vec![
-            vec![1.0; sensed.len()],
-            sensed.iter().map(|m| m[0]).collect(),
-            sensed.iter().map(|m| m[1]).collect(),
-        ];
-        columns.extend(path.seating_columns(self.seatings));
-        for a in terms {
-            columns.extend((a.effect.columns)(&a.values(), path, sensed));
-        }
-        columns
+        path.readout_columns(self.seatings, terms, sensed)
     }
 
     /// Base moments from the shifts of `path`, in time order. `memory` is what memory effects take from each reading's moment where the

@@ -67,10 +67,4 @@ impl WhiskerSystem {
     pub fn picture_scale(&self) -> f64 {
         self.picture_scale
     }
-
-    /// The same readings without the pictures.
-    pub fn without_pictures(mut self) -> Self {
-        self.pictures = None;
-        self
-    }
 }

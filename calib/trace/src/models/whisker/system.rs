@@ -58,6 +58,12 @@ fn owned(rows: &[&WhiskerRow]) -> Arc<Vec<WhiskerRow>> {
     Arc::new(rows.iter().map(|r| (*r).clone()).collect())
 }
 
+/// The readings in the channels of a mixture, which is never singular: a unit matrix with one direction stretched.
+fn measured_in(path: &WhiskerPath, whitening: &Matrix2<f64>) -> DMatrix<f64> {
+    let shifts = DMatrix::from_fn(path.readings.len(), 2, |i, c| path.readings[i].shift_pm[c]);
+    shifts * dynamic(&whitening.try_inverse().unwrap_or_else(Matrix2::identity))
+}
+
 fn dynamic(m: &Matrix2<f64>) -> DMatrix<f64> {
     DMatrix::from_column_slice(2, 2, m.as_slice())
 }
@@ -110,15 +116,12 @@ impl WhiskerSystem {
         rod_tables: Arc<RodTables>,
         whitening: Matrix2<f64>,
     ) -> Self {
-        let n = path.readings.len();
-        let shifts = DMatrix::from_fn(n, 2, |i, c| path.readings[i].shift_pm[c]);
         Self {
             pictures: None,
             picture_scale: 1.0,
             stage_clock_s: 0.0,
             refuted: Arc::default(),
-            // Never singular: a unit matrix with one direction stretched.
-            measured: shifts * dynamic(&whitening.try_inverse().unwrap_or_else(Matrix2::identity)),
+            measured: measured_in(&path, &whitening),
             whitening,
             groups: path.readings.iter().map(|r| r.group).collect(),
             // Unsealed rows stand behind those of the points table.
@@ -189,8 +192,7 @@ impl WhiskerSystem {
         let mut xs: Vec<f64> = self.path.nodes.iter().map(stamped).collect();
         let mut rod_parameters = RodParameters::default();
         // In the order of the catalogue, which is that of the signal: the reading lags behind a groove that lags behind the screw.
-        let mut acting: Vec<&ActiveEffect> =
-            active.iter().filter(|a| a.effect.observers != unseen).collect();
+        let mut acting: Vec<&ActiveEffect> = active.iter().filter(|a| a.effect.observers != unseen).collect();
         acting.sort_by_key(|a| a.term.effect);
         for a in acting {
             (a.effect.pose)(&a.values(), &self.path, &mut xs);
@@ -227,10 +229,7 @@ impl WhiskerSystem {
 
     /// The same readings in other channels.
     fn in_channels(self, whitening: Matrix2<f64>) -> Self {
-        let (pictures, picture_scale, stage_clock_s, refuted) =
-            (self.pictures, self.picture_scale, self.stage_clock_s, self.refuted);
-        let same = Self::assemble(&self.data, self.path, self.rows, self.walk, self.rod_tables, whitening);
-        Self { pictures, picture_scale, stage_clock_s, refuted, ..same }
+        Self { measured: measured_in(&self.path, &whitening), whitening, ..self }
     }
 
     /// The same readings with the stage's clock set by `stage_clock_s`.
@@ -314,15 +313,7 @@ impl MeasurementModel for WhiskerSystem {
 
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
         let (sensed, _) = self.moments(terms)?;
-        let mut columns = vec![
-            vec![1.0; sensed.len()],
-            sensed.iter().map(|m| m[0]).collect(),
-            sensed.iter().map(|m| m[1]).collect(),
-        ];
-        columns.extend(self.path.seating_columns(self.seatings));
-        for a in self.active(terms) {
-            columns.extend((a.effect.columns)(&a.values(), &self.path, &sensed));
-        }
+        let columns = self.path.readout_columns(self.seatings, &self.active(terms), &sensed);
         let design = DMatrix::from_fn(sensed.len(), columns.len(), |i, j| columns[j][i]);
         design.iter().all(|v| v.is_finite()).then_some(design)
     }
@@ -367,7 +358,8 @@ impl MeasurementModel for WhiskerSystem {
     }
 
     fn shared_sd(&self, effect: usize, parameter: &str) -> f64 {
-        let stamped = self.catalogue[effect].needs().contains(&LawRequirement::Motion) && parameter == "lag_s";
+        let stamped =
+            self.catalogue[effect].needs().contains(&LawRequirement::Motion) && parameter == "lag_s";
         if stamped && self.is_read_in_motion() { CLOCK_SD_S } else { 0.0 }
     }
 

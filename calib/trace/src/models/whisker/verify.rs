@@ -8,6 +8,7 @@ use super::twin_check::{LabelReport, check_labels};
 use crate::error::TraceError;
 use crate::method::explain::noise_for_predictions;
 use crate::method::hypothesis::SearchResult;
+use crate::scalar::admission::clock_fault;
 use crate::verify::sealed_in_fit::sealed_in_fit;
 use crate::verify::{Verification, VerifyOptions, verify};
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
@@ -57,14 +58,8 @@ fn unusable(data: &WhiskerData) -> Option<String> {
             "The session has {loaded} loaded readings; K, the zero and a residual need at least {MIN_LOADED}."
         ));
     }
-    let times: Vec<f64> = data.rows.iter().filter_map(|r| r.t_s).collect();
-    if let Some(k) = times.windows(2).position(|w| w[1] < w[0]) {
-        return Some(format!(
-            "The clock runs backwards after reading {} (t_s {} follows {}).",
-            k + 1,
-            times[k + 1],
-            times[k]
-        ));
+    if let Some(why) = clock_fault(data.rows.iter().map(|r| r.t_s)) {
+        return Some(format!("The data cannot be used: {why}."));
     }
     let timed = |r: &WhiskerRow| Some([&[r.t_s?, r.stage_mm?], &r.shift_pm[..]].concat());
     let fitted = || data.rows.iter().filter(|r| r.role != Role::Rest).map(timed);

@@ -14,8 +14,7 @@ pub fn error_table(places: &[f64]) -> ScalarEffect {
     // At least two, so that the catalogue can be told without a session.
     let count = places.len().max(2);
     // The first place's deviation is the declared constant.
-    let deviations =
-        |name| (1..count).fold(law(name), |table, _| table.column("deviation", "response"));
+    let deviations = |name| (1..count).fold(law(name), |table, _| table.column("deviation", "response"));
     let both = deviations("by-place-and-direction").needing(&[LawRequirement::BothDirections]);
     let both = (0..count).fold(both, |table, _| table.column("reversal_value", "response"));
     ScalarEffect {

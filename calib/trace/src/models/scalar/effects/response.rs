@@ -110,8 +110,7 @@ pub fn step() -> ScalarEffect {
     ScalarEffect {
         columns: |values, frame| {
             let place = values.of("place");
-            let column: Vec<f64> =
-                frame.clock().iter().map(|o| f64::from(u8::from(*o >= place))).collect();
+            let column: Vec<f64> = frame.clock().iter().map(|o| f64::from(u8::from(*o >= place))).collect();
             let after = column.iter().filter(|v| **v > 0.0).count();
             let few = after < MIN_EACH_SIDE || column.len() - after < MIN_EACH_SIDE;
             (!few || frame.new_rows).then_some(vec![column])

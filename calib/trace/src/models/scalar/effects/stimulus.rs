@@ -183,9 +183,12 @@ pub fn hysteresis(declared: Declared) -> ScalarEffect {
 /// Backlash: after a reversal the output stays until the play is taken up (play operator). Of an axis an offset by direction is backlash, too
 /// (reversal value B of ISO 230-2).
 pub fn backlash(declared: Declared) -> ScalarEffect {
-    let taken_up = law("play")
-        .needing(&[LawRequirement::Slope, LawRequirement::BothDirections])
-        .amplitude("backlash", "half-range", [0.0, 0.5], 0.01);
+    let taken_up = law("play").needing(&[LawRequirement::Slope, LawRequirement::BothDirections]).amplitude(
+        "backlash",
+        "half-range",
+        [0.0, 0.5],
+        0.01,
+    );
     let reversal =
         law("reversal").needing(&[LawRequirement::BothDirections]).column("reversal_value", "response");
     let laws = if declared == Declared::Axis { vec![taken_up, reversal] } else { vec![taken_up] };
@@ -206,11 +209,7 @@ pub fn backlash(declared: Declared) -> ScalarEffect {
         },
         ..Effect {
             has_memory: true,
-            ..Effect::new(
-                "backlash",
-                "After a reversal the output stays until the play is taken up.",
-                laws,
-            )
+            ..Effect::new("backlash", "After a reversal the output stays until the play is taken up.", laws)
         }
         .into()
     }

@@ -65,12 +65,8 @@ pub fn fbg_nonlinearity() -> WhiskerEffect {
             let product = |a: usize, b: usize| moments_nmm.iter().map(|m| m[a] * m[b]).collect();
             vec![product(0, 0), product(0, 1), product(1, 1)]
         },
-        ..Effect::new(
-            "fbg-nonlinearity",
-            "The wavelength shift is nonlinear in the moment.",
-            vec![quadratic],
-        )
-        .into()
+        ..Effect::new("fbg-nonlinearity", "The wavelength shift is nonlinear in the moment.", vec![quadratic])
+            .into()
     }
 }
 

@@ -50,9 +50,12 @@ pub fn contact_offset() -> WhiskerEffect {
 pub fn base_compliance() -> WhiskerEffect {
     let unit = "rad/(N mm)";
     let isotropic = law("isotropic").amplitude("compliance_rad_per_nmm", unit, [0.0, 0.2], 0.005);
-    let two_axis = law("two-axis")
-        .amplitude("compliance_y_rad_per_nmm", unit, [0.0, 0.2], 0.005)
-        .amplitude("compliance_z_rad_per_nmm", unit, [0.0, 0.2], 0.01);
+    let two_axis = law("two-axis").amplitude("compliance_y_rad_per_nmm", unit, [0.0, 0.2], 0.005).amplitude(
+        "compliance_z_rad_per_nmm",
+        unit,
+        [0.0, 0.2],
+        0.01,
+    );
     WhiskerEffect {
         rod: |values, rod| {
             // One value for both axes, or one each.

@@ -134,7 +134,7 @@ pub fn cross_validate<M: SessionModel>(
     } else {
         std::iter::once(&found.base).chain(&found.refitted).collect()
     };
-    let folds = model.folds_under(&conclusion.accepted);
+    let folds = model.folds(&conclusion.accepted);
     let leave = LeaveOut {
         model,
         found,

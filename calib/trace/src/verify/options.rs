@@ -4,7 +4,7 @@ use crate::method::options::Options;
 use wcal_core::Seal;
 
 /// Settings of `verify`.
-#[derive(Debug, Clone, Default)]
+#[derive(Clone, Default)]
 pub struct VerifyOptions {
     /// Settings of the search.
     pub search: Options,

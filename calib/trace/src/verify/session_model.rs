@@ -173,12 +173,8 @@ pub trait SessionModel: SessionText + Sized {
     fn quantities(&self) -> &'static [Quantity];
     /// Errors of one reading.
     fn errors(&self, predictions: &Self::Predictions, reading: usize) -> HeldOut;
-    /// Folds where nothing is sealed.
-    fn folds(&self) -> Folds;
-    /// The same where the accepted model asks for others: what it learned of a place cannot be left out with all readings there.
-    fn folds_under(&self, _accepted: &Hypothesis) -> Folds {
-        self.folds()
-    }
+    /// Folds where nothing is sealed, as the accepted model asks for: what it learned of a place cannot be left out with all readings there.
+    fn folds(&self, accepted: &Hypothesis) -> Folds;
     /// Why a model cannot serve as a calibration at all: no sensitivity, or nothing that its own rows could be predicted by.
     fn useless(&self, _accepted: &Hypothesis) -> Option<String> {
         None

@@ -230,11 +230,7 @@ impl SessionModel for ScalarSystem {
         }
     }
 
-    fn folds(&self) -> Folds {
-        folds(&self.frame, Grouping::Stimuli)
-    }
-
-    fn folds_under(&self, accepted: &Hypothesis) -> Folds {
+    fn folds(&self, accepted: &Hypothesis) -> Folds {
         let grouping = if has_table(self, accepted) {
             Grouping::Repeats
         } else if follows_neighbours(self, accepted) {

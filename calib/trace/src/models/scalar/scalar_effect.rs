@@ -31,6 +31,13 @@ impl ScalarEffect {
     }
 }
 
+impl ScalarEffect {
+    /// An effect without memory that acts nowhere yet.
+    pub fn new(id: &'static str, sentence: &'static str, laws: Vec<EffectModel>) -> Self {
+        Effect::new(id, sentence, laws).into()
+    }
+}
+
 impl From<Effect> for ScalarEffect {
     /// An effect that acts nowhere yet.
     fn from(effect: Effect) -> Self {

@@ -235,7 +235,7 @@ impl SessionModel for WhiskerSystem {
         }
     }
 
-    fn folds(&self) -> Folds {
+    fn folds(&self, _accepted: &Hypothesis) -> Folds {
         let readings = &self.path.readings;
         let mut groups: Vec<u32> = readings.iter().filter(|r| !r.rest).map(|r| r.group).collect();
         groups.sort_unstable();

@@ -1,7 +1,8 @@
 //! `verify` for kind "whisker": admission of the data, the procedure, and what reports and calibration need of it.
 
 use super::physical::PhysicalModel;
-use super::residual_tables::{Branch, PredictionRow, branches, prediction_rows};
+use super::predictions::Predictions;
+use super::residual_tables::{Branch, branches};
 use super::sensitivity;
 use super::system::WhiskerSystem;
 use super::twin_check::{LabelReport, check_labels};
@@ -19,8 +20,8 @@ use wcal_core::{InputFile, ResidualRecord, Unsealing};
 pub struct WhiskerVerification {
     /// verify.json.
     pub document: VerifyDocument,
-    /// predictions.csv.
-    pub predictions: Vec<PredictionRow>,
+    /// Every reading of `whole` under the declared and the accepted model.
+    pub predictions: [Predictions; 2],
     /// Residual records of every reading and channel.
     pub residuals: Vec<ResidualRecord>,
     /// Twin check.
@@ -98,7 +99,6 @@ pub fn verify_whisker(
     document.inputs = inputs.to_vec();
     Ok(Verified::Done(Box::new(WhiskerVerification {
         document,
-        predictions: prediction_rows(&whole, &unsealed.before.readings, &unsealed.after.readings),
         residuals: v.residuals,
         labels: check_labels(data, &system.path, &system.rod_tables),
         model: {
@@ -111,6 +111,7 @@ pub fn verify_whisker(
             )
         },
         further: v.errors.further,
+        predictions: [unsealed.before, unsealed.after],
         branches: branches(&system),
         found: explained.found,
         unsealing: v.unsealing,

@@ -42,6 +42,13 @@ pub struct WhiskerEffect {
     pub columns: fn(&Values, &WhiskerPath, &[[f64; 2]]) -> Vec<Vec<f64>>,
 }
 
+impl WhiskerEffect {
+    /// An effect without memory that acts nowhere yet.
+    pub fn new(id: &'static str, sentence: &'static str, laws: Vec<EffectModel>) -> Self {
+        Effect::new(id, sentence, laws).into()
+    }
+}
+
 impl From<Effect> for WhiskerEffect {
     /// An effect that acts nowhere yet.
     fn from(effect: Effect) -> Self {

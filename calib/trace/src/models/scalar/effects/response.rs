@@ -17,12 +17,11 @@ pub fn nonlinearity_quadratic() -> ScalarEffect {
     ScalarEffect {
         degree: Some(2),
         columns: |_, frame| Some(vec![frame.u.iter().map(|u| u.powi(2)).collect()]),
-        ..Effect::new(
+        ..ScalarEffect::new(
             "nonlinearity-quadratic",
             "Quadratic nonlinearity: the response has a term in the square of the stimulus.",
             vec![law("power-2").column("coefficient", "response/half-range^2")],
         )
-        .into()
     }
 }
 
@@ -47,12 +46,11 @@ pub fn nonlinearity_cubic() -> ScalarEffect {
             }
             Some(vec![frame.u.iter().map(|u| (u - centre).powi(3)).collect()])
         },
-        ..Effect::new(
+        ..ScalarEffect::new(
             "nonlinearity-cubic",
             "Cubic nonlinearity: the response has a term in the cube of the stimulus.",
             vec![cube("power-3"), cube(ABOUT_ZERO).needing(&[LawRequirement::Slope])],
         )
-        .into()
     }
 }
 
@@ -61,7 +59,7 @@ pub fn drift() -> ScalarEffect {
     let linear = law("linear").needing(&[LawRequirement::Clock]).column("rate", "response/duration");
     ScalarEffect {
         columns: |_, frame| Some(vec![frame.clock().to_vec()]),
-        ..Effect::new("drift", "The zero drifts during the session.", vec![linear]).into()
+        ..ScalarEffect::new("drift", "The zero drifts during the session.", vec![linear])
     }
 }
 
@@ -142,12 +140,11 @@ pub fn heteroscedastic_noise() -> ScalarEffect {
             (frame.scaling.count < MIN_READINGS || !(frame.scaling.half > 0.0))
                 .then(|| format!("needs {MIN_READINGS} readings at different stimuli"))
         },
-        ..Effect::new(
+        ..ScalarEffect::new(
             HETEROSCEDASTIC_NOISE,
             "The noise depends on the stimulus; the readings were weighted accordingly.",
             vec![law("spread")],
         )
-        .into()
     }
 }
 

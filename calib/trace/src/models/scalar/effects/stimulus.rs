@@ -25,12 +25,11 @@ pub fn scale(sloped: bool) -> ScalarEffect {
             true
         },
         columns: |_, frame| Some(if frame.sloped() { Vec::new() } else { vec![frame.u.clone()] }),
-        ..Effect::new(
+        ..ScalarEffect::new(
             "scale",
             "The response changes in proportion to the stimulus beyond the declared model.",
             vec![relative],
         )
-        .into()
     }
 }
 
@@ -59,12 +58,11 @@ pub fn saturation() -> ScalarEffect {
             }
             true
         },
-        ..Effect::new(
+        ..ScalarEffect::new(
             "saturation",
             "Saturation: above a threshold the sensitivity decreases.",
             vec![knee("upper-knee", [-0.9, 0.98], UPPER), knee("lower-knee", [-0.98, 0.9], LOWER)],
         )
-        .into()
     }
 }
 
@@ -86,12 +84,11 @@ pub fn dead_zone() -> ScalarEffect {
             }
             true
         },
-        ..Effect::new(
+        ..ScalarEffect::new(
             "dead-zone",
             "Dead zone: near zero the response does not follow the stimulus.",
             vec![about_zero],
         )
-        .into()
     }
 }
 

@@ -94,12 +94,11 @@ pub fn dead_zone() -> WhiskerEffect {
             let radial = values.law() == "radial";
             Box::new(DeadZoneState { radial, threshold_nmm: values.of("threshold_nmm") })
         }),
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "dead-zone",
             "Dead zone: small moments do not reach the gratings (play in the bond or the mounting).",
             vec![threshold("radial"), threshold("by-axis")],
         )
-        .into()
     }
 }
 

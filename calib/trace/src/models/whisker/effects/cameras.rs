@@ -1,6 +1,6 @@
 //! Faults of the cameras' setup: effects on what pairs of pictures show.
 
-use crate::effect::{Effect, EffectModel, LawRequirement, law};
+use crate::effect::{EffectModel, LawRequirement, law};
 use crate::whisker::whisker_effect::{Observers, WhiskerEffect};
 use nalgebra::Vector3;
 
@@ -25,12 +25,11 @@ pub fn camera_pose() -> WhiskerEffect {
                 s.stations_mm.iter_mut().for_each(moved);
             }
         },
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "camera-pose",
             "The whole scene is displaced in the pictures: the cameras moved after their calibration.",
             vec![rigid("before-the-session"), during],
         )
-        .into()
     }
 }
 
@@ -66,12 +65,11 @@ pub fn board_scale() -> WhiskerEffect {
                 }
             }
         },
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "board-scale",
             "All lengths in the pictures are wrong by one factor: the calibration board differs from its stated size.",
             vec![one_factor.amplitude("relative_scale", "1", [-0.1, 0.1], 0.005)],
         )
-        .into()
     }
 }
 
@@ -97,12 +95,11 @@ pub fn rig_tag() -> WhiskerEffect {
                 }
             }
         },
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "rig-tag",
             "The rig tag is displaced from its stated position: the contact appears shifted along the wire by a constant.",
             vec![rigid],
         )
-        .into()
     }
 }
 
@@ -119,11 +116,10 @@ pub fn picture_clock() -> WhiskerEffect {
                 }
             }
         },
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "picture-clock",
             "The cameras' clock is offset: pictures taken in motion show another position than their rows.",
             vec![offset.amplitude("clock_s", "s", [-1.0, 1.0], 0.02)],
         )
-        .into()
     }
 }

@@ -13,12 +13,11 @@ pub fn temperature_mismatch() -> WhiskerEffect {
     WhiskerEffect {
         // Of the other readings: this one's own noise is in its compensated shifts as well, and would pull the coefficient.
         columns: |_, path, _| vec![path.readings.iter().map(|r| r.temperature_loo_degc).collect()],
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "temperature-mismatch",
             "Sensing and reference gratings differ in temperature sensitivity: compensation is incomplete.",
             vec![linear.column("mismatch_pm_per_degc", "pm/degC")],
         )
-        .into()
     }
 }
 
@@ -27,12 +26,11 @@ pub fn zero_drift() -> WhiskerEffect {
     let linear = law("linear").needing(&[LawRequirement::Time]);
     WhiskerEffect {
         columns: |_, path, _| vec![path.readings.iter().map(|r| r.t_s / 60.0).collect()],
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "zero-drift",
             "The zero of the readings drifts with time.",
             vec![linear.column("drift_pm_per_min", "pm/min")],
         )
-        .into()
     }
 }
 
@@ -44,12 +42,11 @@ pub fn rest_zero() -> WhiskerEffect {
     let step = law("step").needing(&[LawRequirement::RestReadings]);
     WhiskerEffect {
         columns: |_, path, _| vec![path.readings.iter().map(|r| f64::from(u8::from(r.rest))).collect()],
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "rest-zero",
             "The rest readings have another zero than the loaded ones (taken at another time or mounting).",
             vec![step.column("rest_zero_pm", "pm")],
         )
-        .into()
     }
 }
 
@@ -65,8 +62,11 @@ pub fn fbg_nonlinearity() -> WhiskerEffect {
             let product = |a: usize, b: usize| moments_nmm.iter().map(|m| m[a] * m[b]).collect();
             vec![product(0, 0), product(0, 1), product(1, 1)]
         },
-        ..Effect::new("fbg-nonlinearity", "The wavelength shift is nonlinear in the moment.", vec![quadratic])
-            .into()
+        ..WhiskerEffect::new(
+            "fbg-nonlinearity",
+            "The wavelength shift is nonlinear in the moment.",
+            vec![quadratic],
+        )
     }
 }
 

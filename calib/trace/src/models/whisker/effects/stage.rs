@@ -1,7 +1,7 @@
 //! Effects on the position of the stage.
 
 use super::bond::relax;
-use crate::effect::{Effect, LawRequirement, law};
+use crate::effect::{LawRequirement, law};
 use crate::whisker::path::WhiskerPath;
 use crate::whisker::way::{MotionSegment, way_between};
 use crate::whisker::whisker_effect::{Observers, WhiskerEffect};
@@ -26,12 +26,11 @@ pub fn stage_backlash() -> WhiskerEffect {
                 *x = held + shift;
             }
         },
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "stage-backlash",
             "Backlash: after a reversal the stage lags behind its command.",
             vec![play("play-from-loading"), play("play-centred")],
         )
-        .into()
     }
 }
 
@@ -44,12 +43,11 @@ pub fn stage_scale() -> WhiskerEffect {
                 *x *= 1.0 + relative_scale;
             }
         },
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "stage-scale",
             "Scale error: the stage travels a constant factor more or less than commanded.",
             vec![law("linear").amplitude("relative_scale", "1", [-0.03, 0.03], 0.01)],
         )
-        .into()
     }
 }
 
@@ -68,12 +66,11 @@ pub fn stage_periodic() -> WhiskerEffect {
                 *x += sine_mm * sin + cosine_mm * cos;
             }
         },
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "stage-periodic",
             "Periodic error: the stage position errs with the period of the screw.",
             vec![screw],
         )
-        .into()
     }
 }
 
@@ -98,12 +95,11 @@ pub fn time_lag() -> WhiskerEffect {
             };
             xs_mm.copy_from_slice(&late);
         },
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "time-lag",
             "Readings taken while the stage moves belong to an earlier position.",
             vec![lag("delay"), lag("first-order")],
         )
-        .into()
     }
 }
 

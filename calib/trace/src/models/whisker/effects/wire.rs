@@ -1,6 +1,6 @@
 //! Effects on the mechanics of wire, root and groove.
 
-use crate::effect::{Effect, LawRequirement, law};
+use crate::effect::{LawRequirement, law};
 use crate::whisker::whisker_effect::WhiskerEffect;
 use wcal_rod::Softening;
 
@@ -16,12 +16,11 @@ pub fn groove_friction() -> WhiskerEffect {
                 rod.moving_share = values.of("moving_share");
             }
         },
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "groove-friction",
             "Friction in the V-groove: the contact force has a component along the wire until it slips.",
             vec![coulomb("coulomb"), two_speed],
         )
-        .into()
     }
 }
 
@@ -37,12 +36,11 @@ pub fn contact_offset() -> WhiskerEffect {
                 *offset += by;
             }
         },
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "contact-offset",
             "The groove is displaced from its stated position by a constant offset.",
             vec![rigid],
         )
-        .into()
     }
 }
 
@@ -63,12 +61,11 @@ pub fn base_compliance() -> WhiskerEffect {
             rod.compliance_rad_per_nmm[0] += y;
             rod.compliance_rad_per_nmm[1] += z;
         },
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "base-compliance",
             "The root turns under the moment before the wire bends.",
             vec![isotropic, two_axis],
         )
-        .into()
     }
 }
 
@@ -96,12 +93,11 @@ pub fn superelastic_softening() -> WhiskerEffect {
                 Softening::Bilinear { onset_per_m, ratio: left }
             });
         },
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "superelastic-softening",
             "Superelastic softening: the alloy begins to transform where the wire is bent most.",
             vec![softening("section-plateau", 1.0), softening("bilinear", 0.97)],
         )
-        .into()
     }
 }
 
@@ -109,12 +105,11 @@ pub fn superelastic_softening() -> WhiskerEffect {
 pub fn wire_taper() -> WhiskerEffect {
     WhiskerEffect {
         rod: |values, rod| rod.taper += values.of("relative_stiffness_change"),
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "wire-taper",
             "Taper: the wire's diameter changes from root to tip.",
             vec![law("linear-diameter").amplitude("relative_stiffness_change", "1", [-0.6, 1.5], 0.1)],
         )
-        .into()
     }
 }
 
@@ -123,12 +118,11 @@ pub fn gravity() -> WhiskerEffect {
     let weight = law("weight").needing(&[LawRequirement::Weight]);
     WhiskerEffect {
         rod: |values, rod| rod.weight += values.of("weight_share"),
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "gravity",
             "The wire bends under its own weight.",
             vec![weight.amplitude("weight_share", "1", [0.0, 1.5], 1.0)],
         )
-        .into()
     }
 }
 
@@ -144,11 +138,10 @@ pub fn rest_shape() -> WhiskerEffect {
             rod.straight_change_mm += values.of("straight_change_mm");
             rod.arc_radius_change_mm += values.of("arc_radius_change_mm");
         },
-        ..Effect::new(
+        ..WhiskerEffect::new(
             "rest-shape",
             "The rest shape differs from the declared one: straight length or arc radius.",
             vec![bent],
         )
-        .into()
     }
 }

@@ -1,7 +1,7 @@
 //! `wcal demo`: the whole loop on the recordings that come with the project.
 
 use crate::output::{OutputFolder, Overwrite, ResultKind, unsaid};
-use crate::verify::{self, VerifyOrder, print_text, verify_session};
+use crate::verify::{self, print_text, verify_session};
 use anyhow::Context;
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -103,13 +103,8 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         let _ = std::fs::remove_file(out.join("unsealed.json"));
         let session = load(&folder)?;
         let sweep = r.sweep.map(|name| args.out.join(name).join("session"));
-        let order = VerifyOrder {
-            seed: args.seed,
-            progress: verify::listener(&progress),
-            sweep: sweep.as_deref(),
-            ..VerifyOrder::default()
-        };
-        let report = verify_session(&session, &mut results, &order)?;
+        let options = verify::searching(args.seed, Some(&progress));
+        let report = verify_session(&session, &mut results, options, None, sweep.as_deref())?;
         results.finish()?;
         print_text(&report, &out);
         entries.push(IndexEntry::of(&report, format!("{}/report.html", r.name)));

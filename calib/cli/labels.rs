@@ -2,9 +2,9 @@
 
 use anyhow::bail;
 use clap::ValueEnum;
-use std::collections::HashMap;
-use wcal_core::{Role, WhiskerData};
+use wcal_core::WhiskerData;
 use wcal_trace::whisker::WhiskerSystem;
+use wcal_trace::whisker::twin_check::label_nmm;
 
 /// Where the moments of the readings come from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -36,12 +36,8 @@ pub fn moment_labels(data: &WhiskerData, source: LabelSource) -> anyhow::Result<
                     "labels from twin.csv: expected [files] twin in session.toml, found none; try --labels rod"
                 );
             }
-            let by_point: HashMap<i64, [f64; 2]> =
-                data.twin.iter().map(|t| (t.point, t.moment_nmm)).collect();
-            let label = |row: &wcal_core::WhiskerRow| {
-                by_point.get(&row.point).copied().or((row.role == Role::Rest).then_some([0.0; 2]))
-            };
-            Ok(MomentLabels { source: "twin.csv".into(), moments_nmm: data.rows.iter().map(label).collect() })
+            let moments_nmm = data.rows.iter().map(|row| label_nmm(data, row)).collect();
+            Ok(MomentLabels { source: "twin.csv".into(), moments_nmm })
         }
         LabelSource::Rod => {
             let rows: Vec<_> = data.rows.iter().collect();

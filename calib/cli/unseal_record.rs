@@ -35,7 +35,7 @@ pub struct UnsealedFile {
     opened: Vec<Unsealed>,
 }
 
-/// Record of unsealing in a folder. Version 0 was a list of hashes.
+/// Record of unsealing in a folder.
 fn read_unsealed(path: &Path) -> anyhow::Result<Vec<Unsealed>> {
     let reading = || format!("reading {}", path.display());
     let text = match wcal_core::files::read_text(path) {
@@ -43,11 +43,6 @@ fn read_unsealed(path: &Path) -> anyhow::Result<Vec<Unsealed>> {
         // What cannot be read may say that the holdout was opened.
         other => other.with_context(reading)?,
     };
-    if let Ok(hashes) = document::json_as::<Vec<String>>(&text) {
-        let of =
-            |sha256| Unsealed { sha256, path: String::new(), when: String::new(), program: String::new() };
-        return Ok(hashes.into_iter().map(of).collect());
-    }
     let file: UnsealedFile = document::json_as(&text).with_context(reading)?;
     wcal_core::format::expect(FORMAT, Some(&file.format))
         .map_err(anyhow::Error::msg)

@@ -122,14 +122,8 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     }
     let given = args.calibration.as_deref().map(|path| GivenCalibration::read(path, &session)).transpose()?;
     let progress = Progress::new(&format!("verify {}", session.id));
-    let order = VerifyOrder {
-        seed: args.seed,
-        progress: listener(&progress),
-        accept: &args.accept,
-        given,
-        sweep: args.sweep.as_deref(),
-    };
-    let done = verify_session(&session, &mut out, &order)?;
+    let options = VerifyOptions { accept: args.accept.clone(), ..searching(args.seed, Some(&progress)) };
+    let done = verify_session(&session, &mut out, options, given.as_ref(), args.sweep.as_deref())?;
     out.finish()?;
     drop(progress);
     if args.json {
@@ -201,66 +195,41 @@ struct Outcome {
     judged: Option<CalibrationJudgement>,
 }
 
-/// Shows how far a search is on the terminal.
-pub fn listener(progress: &Progress) -> ProgressListener {
-    let reporter = progress.reporter();
-    ProgressListener::new(move |stage, done| reporter.at(stage, done))
+/// Settings of a search that says how far it is.
+pub fn searching(seed: u64, progress: Option<&Progress>) -> VerifyOptions {
+    let listener = |p: &Progress| {
+        let reporter = p.reporter();
+        ProgressListener::new(move |stage, done| reporter.at(stage, done))
+    };
+    let progress = progress.map(listener).unwrap_or_default();
+    VerifyOptions { search: Options { seed, progress, ..Options::default() }, ..VerifyOptions::default() }
 }
 
-/// What is asked of the loop beside the session.
-#[derive(Default)]
-pub struct VerifyOrder<'a> {
-    /// Seed of every random draw.
-    pub seed: u64,
-    /// Hears how far the search is.
-    pub progress: ProgressListener,
-    /// Effects to be accepted; none leaves the choice to the verdict.
-    pub accept: &'a [String],
-    /// A calibration to be judged.
-    pub given: Option<GivenCalibration>,
-    /// Folder of a sweep that judges the explanations.
-    pub sweep: Option<&'a Path>,
-}
-
-/// Runs the loop and gathers every result; shared with `demo`.
+/// Runs the loop and gathers every result; shared with `demo`. `given`: a calibration to be judged; `sweep`: folder of a sweep that judges the
+/// explanations.
 pub fn verify_session(
     session: &LoadedSession,
     out: &mut OutputFolder<'_>,
-    order: &VerifyOrder<'_>,
+    options: VerifyOptions,
+    given: Option<&GivenCalibration>,
+    sweep: Option<&Path>,
 ) -> anyhow::Result<ReportInput> {
-    let VerifyOrder { seed, progress, accept, given, sweep } = order;
-    let (seed, accept) = (*seed, *accept);
-    let provenance = provenance(session, seed);
+    let provenance = provenance(session, options.search.seed);
     let record = UnsealRecord::read(session, out.folder())?;
-    let options = VerifyOptions {
-        search: Options { seed, progress: progress.clone(), ..Options::default() },
-        accept: accept.to_vec(),
-        seal: record.seal(session, &provenance),
-        ..VerifyOptions::default()
-    };
+    let options = VerifyOptions { seal: record.seal(session, &provenance), ..options };
     let Outcome { mut report, predictions, model, unsealing, judged } = match &session.data {
         SessionData::Whisker(data) => {
             let witness = sweep.map(|folder| witness(folder, data)).transpose()?;
-            of_whisker_session(
-                session,
-                data,
-                &options,
-                (given.as_ref(), witness.as_ref()),
-                provenance.clone(),
-            )?
+            of_whisker_session(session, data, &options, (given, witness.as_ref()), provenance.clone())?
         }
         _ if sweep.is_some() => {
             bail!("--sweep: expected a session of kind whisker, found {:?}", session.data.kind())
         }
-        SessionData::Transducer(data) => of_scalar_session(
-            session,
-            ScalarData::Transducer(data),
-            &options,
-            given.as_ref(),
-            provenance.clone(),
-        )?,
+        SessionData::Transducer(data) => {
+            of_scalar_session(session, ScalarData::Transducer(data), &options, given, provenance.clone())?
+        }
         SessionData::Axis(data) => {
-            of_scalar_session(session, ScalarData::Axis(data), &options, given.as_ref(), provenance.clone())?
+            of_scalar_session(session, ScalarData::Axis(data), &options, given, provenance.clone())?
         }
     };
     if let Some(unsealing) = &unsealing {
@@ -274,7 +243,7 @@ pub fn verify_session(
     }
     let verified = match report.verify.verdict {
         Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
-        Verdict::Ambiguous => !accept.is_empty(),
+        Verdict::Ambiguous => !options.accept.is_empty(),
         _ => false,
     };
     if let Some(model) = model.filter(|_| verified) {
@@ -324,7 +293,7 @@ fn of_whisker_session(
             judged: given
                 .map(|g| g.judge(SessionSystem::Whisker(&done.whole), options.search.seed))
                 .transpose()?,
-            predictions: Some(predictions_csv(&done.predictions)?),
+            predictions: Some(predictions_csv(&done)?),
             model: Some(CalibrationModel::Physical(done.model.clone())),
             report: {
                 let mut report = of_whisker(session, data, &done, !options.accept.is_empty(), provenance);

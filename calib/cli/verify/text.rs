@@ -7,21 +7,29 @@ use wcal_contact::groove_comparison::groove_sentence;
 use wcal_core::ResidualRecord;
 use wcal_report::ReportInput;
 use wcal_trace::scalar::ScalarData;
-use wcal_trace::whisker::residual_tables::PredictionRow;
+use wcal_trace::whisker::WhiskerVerification;
 
-pub(super) fn predictions_csv(rows: &[PredictionRow]) -> anyhow::Result<String> {
+/// Every reading with what both models say of it, in the order of the tables.
+pub(super) fn predictions_csv(done: &WhiskerVerification) -> anyhow::Result<String> {
     let mut csv = String::from(
         "source,point,role,moment_1_nmm_before,moment_2_nmm_before,moment_1_nmm_after,moment_2_nmm_after,\
          moment_1_sd_nmm,moment_2_sd_nmm,fbg_1_pm_before,fbg_2_pm_before,fbg_1_pm_after,fbg_2_pm_after\n",
     );
-    for r in rows {
-        let role = serde_json::to_value(r.role)?;
-        write!(csv, "{},{},{}", r.source, r.point, role.as_str().unwrap_or_default())?;
-        for pair in [r.before.moment_nmm, r.after.moment_nmm, r.after.moment_sd_nmm] {
+    let whole = &done.whole;
+    let mut order: Vec<usize> = (0..whole.path.rows.len()).collect();
+    order.sort_by_key(|&i| whole.path.rows[i]);
+    for i in order {
+        let (row, [before, after]) = (whole.row(i), done.predictions.each_ref().map(|p| &p.readings[i]));
+        let role = serde_json::to_value(row.role)?;
+        write!(csv, "{},{},{}", row.source, row.point, role.as_str().unwrap_or_default())?;
+        for pair in [before.moment_nmm, after.moment_nmm, after.moment_sd_nmm] {
             write!(csv, ",{:.7},{:.7}", pair[0], pair[1])?;
         }
-        for p in [&r.before, &r.after] {
-            write!(csv, ",{:.5},{:.5}", p.shift_pm[0] + r.thermal_pm[0], p.shift_pm[1] + r.thermal_pm[1])?;
+        // What temperature adds to the compensated shift as read.
+        let compensated = row.compensated_pm(&whole.data.fbg);
+        let thermal_pm = [0, 1].map(|c| row.shift_pm[c] - compensated[c]);
+        for p in [before, after] {
+            write!(csv, ",{:.5},{:.5}", p.shift_pm[0] + thermal_pm[0], p.shift_pm[1] + thermal_pm[1])?;
         }
         csv.push('\n');
     }

@@ -4,6 +4,7 @@ use crate::ContactError;
 use crate::sweep_witness::{SweepVerdict, SweepWitness};
 use wcal_core::verify_document::{SweepExplanation, SweepJudgement, Verdict};
 use wcal_core::{InputFile, WhiskerData};
+use wcal_trace::MeasurementModel;
 use wcal_trace::method::hypothesis::Hypothesis;
 use wcal_trace::verify::VerifyOptions;
 use wcal_trace::whisker::{PhysicalModel, Verified, WhiskerVerification, verify_whisker};
@@ -79,7 +80,7 @@ fn of_sweep(
 }
 
 fn effects(done: &WhiskerVerification, h: &Hypothesis) -> Vec<String> {
-    h.fit.terms.iter().map(|t| done.whole.effects()[t.effect].id().to_owned()).collect()
+    h.fit.terms.iter().map(|t| done.whole.catalogue()[t.effect].id.to_owned()).collect()
 }
 
 fn explanation(effects: Vec<String>, v: &SweepVerdict) -> SweepExplanation {

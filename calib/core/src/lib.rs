@@ -15,6 +15,7 @@ pub mod format;
 pub mod least_squares;
 pub mod lock;
 pub mod map_document;
+pub mod median;
 pub mod observation;
 pub mod provenance;
 pub mod ranges;

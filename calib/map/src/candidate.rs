@@ -13,12 +13,9 @@ use crate::process::{LeftOut, Process, ProcessModel};
 use crate::student::{binomial_bounds, half95, log_density};
 use crate::training::MapTraining;
 use crate::trend::Trend;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 /// Candidates, simplest first: the order in which ties are decided.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MapKind {
     /// Affine least squares.
     Affine,
@@ -189,49 +186,26 @@ pub struct CandidateFit {
     pub inflation: [f64; 2],
 }
 
-/// How each moment's model is chosen from data, for the whole set and for every fold.
-pub(crate) trait Recipe {
-    /// Model for these readings; `near` is the full fit, from which a fold may start.
-    ///
-    /// # Errors
-    /// As [`choose_hyperparameters`].
-    fn model(
-        &self,
-        inputs: &[[f64; 2]],
-        y: &[f64],
-        near: Option<&ProcessModel>,
-    ) -> Result<ProcessModel, MapError>;
-}
+/// How a moment's model is chosen from inputs and outputs, for the whole set and for every fold; last the full fit's model, from which a fold
+/// may start.
+pub(crate) type Recipe<'a> =
+    &'a dyn Fn(&[[f64; 2]], &[f64], Option<&ProcessModel>) -> Result<ProcessModel, MapError>;
 
-/// Hyperparameters by the evidence, anew in each fold.
-pub(crate) struct Searched {
-    pub candidate: MapKind,
-    pub diameter: f64,
-    pub radius: f64,
-}
-
-impl Recipe for Searched {
-    fn model(
-        &self,
+impl MapKind {
+    /// Hyperparameters by the evidence, anew in each fold.
+    pub(crate) fn searched(
+        self,
+        scaled: &Scaled,
         inputs: &[[f64; 2]],
         y: &[f64],
         near: Option<&ProcessModel>,
     ) -> Result<ProcessModel, MapError> {
-        let (kernel, full) = self.candidate.kernel(self.diameter, self.radius);
+        let (kernel, full) = self.kernel(scaled.diameter, scaled.radius);
         let search = match (full, near.and_then(|m| m.kernel.shape())) {
             (Some(range), Some(shape)) => Some(range.about(shape)),
             (range, _) => range,
         };
-        choose_hyperparameters(self.candidate.trend(), kernel, search, inputs, y)
-    }
-}
-
-/// The same model in every fold.
-pub(crate) struct Fixed(pub ProcessModel);
-
-impl Recipe for Fixed {
-    fn model(&self, _: &[[f64; 2]], _: &[f64], _: Option<&ProcessModel>) -> Result<ProcessModel, MapError> {
-        Ok(self.0)
+        choose_hyperparameters(self.trend(), kernel, search, inputs, y)
     }
 }
 
@@ -239,7 +213,7 @@ impl Recipe for Fixed {
 /// determined to very different degrees, and a shared noise ratio would smooth the good one for the bad one's sake.
 pub(crate) fn fit_candidate(
     name: &'static str,
-    recipe: &dyn Recipe,
+    recipe: Recipe<'_>,
     scaled: &Scaled,
     training: &MapTraining,
 ) -> Result<CandidateFit, MapError> {
@@ -247,7 +221,7 @@ pub(crate) fn fit_candidate(
     let trajectories = training.trajectories();
     let one = |moment: usize| -> Result<_, MapError> {
         let y = &scaled.outputs[moment];
-        let model = recipe.model(&scaled.inputs, y, None)?;
+        let model = recipe(&scaled.inputs, y, None)?;
         let fit = Process::fit(model, &scaled.inputs, y)?;
         let loo = LeftOutSummary::new(fit.leave_out(&poses));
         let loto = if trajectories.len() >= 3 {
@@ -289,7 +263,7 @@ pub(crate) fn fit_candidate(
 
 /// Refits without each trajectory in turn and predicts its readings.
 fn leave_trajectories_out(
-    recipe: &dyn Recipe,
+    recipe: Recipe<'_>,
     full: &ProcessModel,
     scaled: &Scaled,
     y: &[f64],
@@ -302,7 +276,7 @@ fn leave_trajectories_out(
             (0..y.len()).partition(|i| training.trajectory[*i] == Some(*trajectory));
         let inputs: Vec<[f64; 2]> = kept.iter().map(|i| scaled.inputs[*i]).collect();
         let outputs: Vec<f64> = kept.iter().map(|i| y[*i]).collect();
-        let model = recipe.model(&inputs, &outputs, Some(full))?;
+        let model = recipe(&inputs, &outputs, Some(full))?;
         let fit = Process::fit(model, &inputs, &outputs)?;
         for index in held {
             let (mean, _, variance) = fit.predict(scaled.inputs[index]);

@@ -1,10 +1,11 @@
 //! From a training set to a chosen map.
 
 use crate::artefact::{ARTEFACT_VERSION, MapArtefact};
-use crate::candidate::{CandidateFit, Fixed, MapKind, Scaled, Searched, fit_candidate};
+use crate::candidate::{CandidateFit, MapKind, Scaled, fit_candidate};
 use crate::choose::{Choice, choose};
 use crate::error::MapError;
 use crate::identifiability::{IdentifiabilityReport, identify};
+use crate::process::ProcessModel;
 use crate::region::{DEFAULT_MARGIN, ValidRegion};
 use crate::released;
 use crate::training::MapTraining;
@@ -22,8 +23,6 @@ pub struct FitOptions {
     pub released: bool,
     /// Further points of the declared domain, pm.
     pub domain_pm: Vec<[f64; 2]>,
-    /// Thin-plate radius, pm; none: the smallest safe one.
-    pub radius_pm: Option<f64>,
     /// Where the labels came from.
     pub labels: String,
     /// Gratings, kept in the artefact.
@@ -36,7 +35,6 @@ impl Default for FitOptions {
             candidates: MapKind::ALL.to_vec(),
             released: false,
             domain_pm: Vec::new(),
-            radius_pm: None,
             labels: "unnamed".into(),
             fbg: FbgSpec::default(),
         }
@@ -61,7 +59,7 @@ pub struct MapFit {
 /// Fits every candidate, chooses one and keeps it as an artefact.
 ///
 /// # Errors
-/// A training set that cannot be used, a radius that is too small, or no candidate that can be fitted: [`MapError`].
+/// A training set that cannot be used, or no candidate that can be fitted: [`MapError`].
 pub fn fit_map(training: &MapTraining, options: &FitOptions) -> Result<MapFit, MapError> {
     training.validate()?;
     let valid_region = ValidRegion::new(&training.shifts_pm, &options.domain_pm, DEFAULT_MARGIN);
@@ -109,12 +107,12 @@ fn fit_all(
     let (mut candidates, mut skipped) = (Vec::new(), Vec::new());
     if options.released {
         let scaled = released::scale(training, region.diameter_pm())?;
-        let mut fit = fit_candidate("released", &Fixed(released::model()), &scaled, training)?;
+        let mut fit = fit_candidate("released", &|_, _, _| Ok(released::model()), &scaled, training)?;
         // The released map is reproduced as it is, its deviations too.
         fit.inflation = [1.0; 2];
         return Ok((vec![fit], skipped));
     }
-    let scaled = Scaled::new(training, centre_pm, scale_pm, region.diameter_pm(), options.radius_pm)?;
+    let scaled = Scaled::new(training, centre_pm, scale_pm, region.diameter_pm(), None)?;
     for candidate in &options.candidates {
         if candidate.is_process() && training.len() > MAX_PROCESS_READINGS {
             let why = format!(
@@ -124,7 +122,8 @@ fn fit_all(
             skipped.push((candidate.name(), why));
             continue;
         }
-        let recipe = Searched { candidate: *candidate, diameter: scaled.diameter, radius: scaled.radius };
+        let recipe =
+            |x: &[[f64; 2]], y: &[f64], near: Option<&ProcessModel>| candidate.searched(&scaled, x, y, near);
         match fit_candidate(candidate.name(), &recipe, &scaled, training) {
             Ok(fit) => candidates.push(fit),
             Err(why) => skipped.push((candidate.name(), why.to_string())),

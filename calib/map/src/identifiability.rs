@@ -96,34 +96,24 @@ pub fn identify(training: &MapTraining, loo_rmse_nmm: [f64; 2]) -> Result<Identi
 }
 
 fn sentences(r: &IdentifiabilityReport, loo_rmse_nmm: [f64; 2]) -> Vec<String> {
-    let mut out = Vec::new();
-    for (m, ordinal) in ["first", "second"].into_iter().enumerate() {
-        if r.explained[m] >= EXPLAINED_ENOUGH {
-            continue;
-        }
-        out.push(format!(
-            "The {ordinal} moment is barely determined by these readings and labels: left out, it is predicted to {:.2} N mm rms while its labels \
-             spread by only {:.2} N mm ({:.0} % of their variance explained): check the twin (wcal verify) before trusting it.",
+    let barely = (0..2).filter(|m| r.explained[*m] < EXPLAINED_ENOUGH).map(|m| {
+        format!(
+            "The {} moment is barely determined by these readings and labels: left out, it is predicted to {:.2} N mm rms while its labels \
+             spread by only {:.2} N mm: check the twin (wcal verify) before trusting it.",
+            ["first", "second"][m],
             loo_rmse_nmm[m],
             r.label_sd_nmm[m],
-            100.0 * r.explained[m].max(0.0),
-        ));
-    }
-    if r.condition > CONDITION_LIMIT {
-        out.push(format!(
-            "The gratings see one direction of moment {:.0} times better than the other ({:.1} against {:.1} pm per N mm): \
-             they lie nearly in one plane through the wire, and noise across it is magnified as much.",
-            r.condition, r.singular_pm_per_nmm[0], r.singular_pm_per_nmm[1]
-        ));
-    }
-    if r.nearly_one_dimensional {
-        out.push(format!(
-            "The readings lie nearly on a line in the wavelength plane (deviations {:.1} pm along, {:.1} pm across): the map \
-             across that line is a guess; add poses that load the other moment.",
-            r.cloud_sd_pm[0], r.cloud_sd_pm[1]
-        ));
-    }
-    out
+        )
+    });
+    let one_plane = (r.condition > CONDITION_LIMIT).then(|| {
+        format!(
+            "The gratings see one direction of moment {:.0} times better than the other: they lie nearly in one plane through the wire.",
+            r.condition
+        )
+    });
+    let line = "The readings lie nearly on a line in the wavelength plane: the map across it is a guess; add poses that load the other moment.";
+    let one_line = r.nearly_one_dimensional.then(|| line.to_owned());
+    barely.chain(one_plane).chain(one_line).collect()
 }
 
 /// Least squares of both shifts on (1, m_1, m_2).

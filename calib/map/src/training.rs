@@ -1,7 +1,7 @@
 //! What a map is fitted to, independent of where readings and labels came from.
 
 use crate::error::MapError;
-use crate::geometry::{centre_and_spread, diameter};
+use crate::geometry::centre_and_spread;
 use std::collections::BTreeSet;
 
 /// Readings with their moment labels; entry `i` of every column belongs to reading `i`.
@@ -114,10 +114,5 @@ impl MapTraining {
     pub fn input_scaling(&self) -> ([f64; 2], f64) {
         let (centre, spread) = centre_and_spread(&self.shifts_pm);
         (centre, if spread > 0.0 { spread } else { 1.0 })
-    }
-
-    /// Largest distance between two readings, pm.
-    pub fn diameter_pm(&self) -> f64 {
-        diameter(&self.shifts_pm)
     }
 }

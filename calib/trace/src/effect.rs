@@ -43,8 +43,6 @@ pub enum LawRequirement {
     BothDirections,
     /// Readings taken while the stage moves.
     Motion,
-    /// A base that moves through the medium.
-    MovingBase,
     /// The direction of gravity and the wire's density.
     Weight,
     /// A declared model that follows the stimulus.
@@ -76,7 +74,42 @@ pub struct EffectModel {
     pub needs: Vec<LawRequirement>,
 }
 
+/// A law without parameters of either kind yet.
+pub fn law(name: &'static str) -> EffectModel {
+    EffectModel { name, parameters: Vec::new(), linear: Vec::new(), largest_share: None, needs: Vec::new() }
+}
+
 impl EffectModel {
+    /// With a nonlinear size of the effect.
+    pub fn amplitude(mut self, name: &'static str, unit: &'static str, range: [f64; 2], probe: f64) -> Self {
+        self.parameters.push(Parameter { name, unit, range, role: Role::Amplitude { probe } });
+        self
+    }
+
+    /// With a value that shapes it.
+    pub fn shape(
+        mut self,
+        name: &'static str,
+        unit: &'static str,
+        range: [f64; 2],
+        grid: &'static [f64],
+    ) -> Self {
+        self.parameters.push(Parameter { name, unit, range, role: Role::Shape { grid } });
+        self
+    }
+
+    /// With a coefficient that enters linearly.
+    pub fn column(mut self, name: &'static str, unit: &'static str) -> Self {
+        self.linear.push((name, unit));
+        self
+    }
+
+    /// With a largest share.
+    pub fn at_most(mut self, share: f64) -> Self {
+        self.largest_share = Some(share);
+        self
+    }
+
     /// The same law that needs something of the session.
     pub fn needing(mut self, needs: &[LawRequirement]) -> Self {
         self.needs = needs.to_vec();
@@ -120,68 +153,72 @@ impl<'a> Values<'a> {
     }
 }
 
-/// An effect of a catalogue.
-pub trait Effect: Send + Sync {
+/// An effect of a catalogue: what it is called, and the laws by which it can act.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Effect {
     /// Identifier of docs/src/formats.md.
-    fn id(&self) -> &'static str;
+    pub id: &'static str,
+    /// One plain sentence for the report.
+    pub sentence: &'static str,
     /// Laws, the plainest first.
-    fn laws(&self) -> Vec<EffectModel>;
+    pub laws: Vec<EffectModel>,
     /// Richer laws, tried only where the effect is accepted already and something is left. Their indices go on after those of `laws`.
-    fn refinements(&self) -> Vec<EffectModel> {
-        Vec::new()
+    pub refinements: Vec<EffectModel>,
+    /// What it does to a reading depends on the readings before.
+    pub has_memory: bool,
+    /// Its laws are things that can act at once (periods, columns, time constants), each more than once where it has a shape of its own;
+    /// else they describe one thing, and only one of them is true.
+    pub acts_severally: bool,
+    /// Ratio of their shapes from which on two of its terms are two things; nearer ones are one that is not steady.
+    pub least_ratio: f64,
+    /// Each law follows a further column of the session, in their order.
+    pub by_column: bool,
+    /// It is found reading by reading, by the outlier stage, not by a law.
+    pub in_single_readings: bool,
+}
+
+impl Effect {
+    /// An effect without memory of which one law is true.
+    pub fn new(id: &'static str, sentence: &'static str, laws: Vec<EffectModel>) -> Self {
+        Self {
+            id,
+            sentence,
+            laws,
+            refinements: Vec::new(),
+            has_memory: false,
+            acts_severally: false,
+            least_ratio: 1.0,
+            by_column: false,
+            in_single_readings: false,
+        }
     }
+
     /// A law by its index.
     ///
     /// # Panics
     /// Where there is none.
-    fn law(&self, index: usize) -> EffectModel {
-        let mut all = self.laws();
-        if index >= all.len() {
-            all.extend(self.refinements());
-        }
-        all.swap_remove(index)
+    pub fn law(&self, index: usize) -> &EffectModel {
+        self.laws.get(index).unwrap_or_else(|| &self.refinements[index - self.laws.len()])
     }
+
     /// A law by its name, with its index.
-    fn law_named(&self, name: &str) -> Option<(usize, EffectModel)> {
-        self.laws().into_iter().chain(self.refinements()).enumerate().find(|(_, l)| l.name == name)
+    pub fn law_named(&self, name: &str) -> Option<(usize, &EffectModel)> {
+        self.laws.iter().chain(&self.refinements).enumerate().find(|(_, l)| l.name == name)
     }
+
     /// What the plainest law needs of a session.
-    fn needs(&self) -> Vec<LawRequirement> {
-        self.laws().into_iter().next().map_or_else(Vec::new, |l| l.needs)
+    pub fn needs(&self) -> &[LawRequirement] {
+        self.laws.first().map_or(&[], |l| &l.needs)
     }
-    /// Columns that help to find it without being needed, for people.
-    fn helped_by(&self) -> Option<&'static str> {
-        None
-    }
-    /// What it does to a reading depends on the readings before.
-    fn has_memory(&self) -> bool {
-        false
-    }
-    /// Its laws are things that can act at once (periods, columns, time constants), each more than once where it has a shape of its own;
-    /// else they describe one thing, and only one of them is true.
-    fn acts_severally(&self) -> bool {
-        false
-    }
-    /// Ratio of their shapes from which on two of its terms are two things; nearer ones are one that is not steady.
-    fn least_ratio(&self) -> f64 {
-        1.0
-    }
+
     /// The further column that a law follows, of those of the session.
-    fn column<'a>(&self, _law: usize, _columns: &'a [String]) -> Option<&'a str> {
-        None
+    pub fn column<'a>(&self, law: usize, columns: &'a [String]) -> Option<&'a str> {
+        columns.get(law).filter(|_| self.by_column).map(String::as_str)
     }
-    /// It is found reading by reading, by the outlier stage, not by a law.
-    fn in_single_readings(&self) -> bool {
-        false
-    }
-    /// One plain sentence for the report.
-    fn sentence(&self) -> &'static str;
-    /// Where the law and its ranges come from.
-    fn source(&self) -> &'static str;
 }
 
 /// The effects of a catalogue.
-pub type Catalogue = [std::sync::Arc<dyn Effect>];
+pub type Catalogue = [Effect];
 
 /// An effect with its law and nonlinear parameter values.
 #[derive(Debug, Clone, PartialEq)]
@@ -208,7 +245,7 @@ pub struct TermKey {
 impl EffectTerm {
     /// Key of the first term of its kind.
     pub fn key(&self, catalogue: &Catalogue) -> TermKey {
-        let law = if catalogue[self.effect].acts_severally() { self.law } else { 0 };
+        let law = if catalogue[self.effect].acts_severally { self.law } else { 0 };
         TermKey { effect: self.effect, law, instance: 0 }
     }
 
@@ -222,11 +259,11 @@ impl EffectTerm {
             Role::Shape { grid } => {
                 let (a, b) = (self.values[k], other.values[k]);
                 (a - b).abs() > RESOLVED * grid_gap(grid, a).min(grid_gap(grid, b))
-                    && a.max(b) >= catalogue[self.effect].least_ratio() * a.min(b)
+                    && a.max(b) >= catalogue[self.effect].least_ratio * a.min(b)
             }
             Role::Amplitude { .. } => false,
         };
-        catalogue[self.effect].acts_severally() && (0..law.parameters.len()).any(differs)
+        catalogue[self.effect].acts_severally && (0..law.parameters.len()).any(differs)
     }
 }
 

@@ -26,10 +26,10 @@ pub trait MeasurementModel: Sync {
     /// Design matrix, readings x coefficients; none where the model has no solution at these values.
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>>;
     /// The catalogue.
-    fn catalogue(&self) -> &[Arc<dyn Effect>];
+    fn catalogue(&self) -> &[Effect];
     /// Catalogue entry of single readings far outside the noise.
     fn outliers(&self) -> Option<usize> {
-        self.catalogue().iter().position(|e| e.in_single_readings())
+        self.catalogue().iter().position(|e| e.in_single_readings)
     }
     /// What a second witness leaves under `terms`: measured less predicted of observations whose covariance is known and that have no
     /// free coefficients (what cameras saw, beside the wavelengths), whitened to [`MeasurementModel::witness_variance`]. Values of
@@ -68,8 +68,6 @@ pub trait MeasurementModel: Sync {
     fn groups(&self) -> &[u32];
     /// Covariates for finding what drives an unexplained residual: name and one value a reading.
     fn covariates(&self) -> Vec<(String, Vec<f64>)>;
-    /// Known part of the noise, readings x channels (same unit as measured).
-    fn known_noise(&self) -> &DMatrix<f64>;
     /// What the noise of the readings can depend on.
     fn noise_inputs(&self) -> NoiseInputs {
         NoiseInputs::none(self.measured().nrows())

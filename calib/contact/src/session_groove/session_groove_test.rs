@@ -33,7 +33,7 @@ fn verified_under(seed: u64, design: Design, want: CaseKind, noise: Noise) -> Wh
     case.write(folder.path()).unwrap();
     let session = wcal_session::load(folder.path()).unwrap();
     let SessionData::Whisker(data) = &session.data else { unreachable!("the plant draws whiskers") };
-    let options = VerifyOptions { permutations: 99, ..VerifyOptions::default() };
+    let options = VerifyOptions::default();
     match verify_whisker(&session.id, data, &session.inputs, &options).unwrap() {
         Verified::Done(done) => *done,
         Verified::Refused(document) => unreachable!("{}", document.reason),

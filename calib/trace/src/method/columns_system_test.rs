@@ -1,42 +1,16 @@
 //! A small system for the method's own tests (SIMULATED): a constant, and effects that add one column each.
 
-use crate::effect::{Effect, EffectModel, EffectTerm};
+use crate::effect::{Effect, EffectTerm, law};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::DMatrix;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
-use std::sync::Arc;
-
-struct Column;
-
-impl Effect for Column {
-    fn id(&self) -> &'static str {
-        "column"
-    }
-    fn laws(&self) -> Vec<EffectModel> {
-        let linear = vec![("size", "1")];
-        vec![EffectModel {
-            name: "linear",
-            parameters: Vec::new(),
-            linear,
-            largest_share: None,
-            needs: Vec::new(),
-        }]
-    }
-    fn sentence(&self) -> &'static str {
-        "A column acts."
-    }
-    fn source(&self) -> &'static str {
-        "made for a test"
-    }
-}
 
 pub struct ColumnsSystem {
     measured: DMatrix<f64>,
     columns: Vec<Vec<f64>>,
-    catalogue: Vec<Arc<dyn Effect>>,
+    catalogue: Vec<Effect>,
     groups: Vec<u32>,
-    known: DMatrix<f64>,
 }
 
 impl ColumnsSystem {
@@ -47,10 +21,12 @@ impl ColumnsSystem {
         let mut noise = || -> f64 { StandardNormal.sample(&mut rng) };
         Self {
             measured: DMatrix::from_fn(n, 1, |i, _| clean[i] + noise()),
-            catalogue: columns.iter().map(|_| Arc::new(Column) as Arc<dyn Effect>).collect(),
+            catalogue: vec![
+                Effect::new("column", "A column acts.", vec![law("linear").column("size", "1")]);
+                columns.len()
+            ],
             columns,
             groups: (0..n).map(|i| (i / 10) as u32).collect(),
-            known: DMatrix::zeros(n, 1),
         }
     }
 
@@ -70,7 +46,7 @@ impl MeasurementModel for ColumnsSystem {
             std::iter::once(&one).chain(terms.iter().map(|t| &self.columns[t.effect])).collect();
         Some(DMatrix::from_fn(one.len(), columns.len(), |i, j| columns[j][i]))
     }
-    fn catalogue(&self) -> &[Arc<dyn Effect>] {
+    fn catalogue(&self) -> &[Effect] {
         &self.catalogue
     }
     fn not_observable(&self, _effect: usize) -> Option<String> {
@@ -81,8 +57,5 @@ impl MeasurementModel for ColumnsSystem {
     }
     fn covariates(&self) -> Vec<(String, Vec<f64>)> {
         Vec::new()
-    }
-    fn known_noise(&self) -> &DMatrix<f64> {
-        &self.known
     }
 }

@@ -8,7 +8,7 @@
 //!
 //! R. D. Cook, S. Weisberg, "Residuals and Influence in Regression" (1982), 2.2: deletion of several cases.
 
-use super::fit::{Fit, fit};
+use super::fit::Fit;
 use super::hypothesis::Hypothesis;
 use super::linear::transposed_product;
 use crate::measurement_model::MeasurementModel;
@@ -22,16 +22,8 @@ const RIDGE: f64 = 1e-9;
 
 /// Squares of what each group's readings leave when the group is not in the fit.
 fn left_out_squares(system: &dyn MeasurementModel, fit: &Fit) -> Option<BTreeMap<u32, f64>> {
-    let (n, q, channels, m) =
-        (fit.design.nrows(), fit.design.ncols(), fit.residual.ncols(), fit.tangents.len());
-    let residual = fit.stacked();
-    let mut jacobian = DMatrix::zeros(residual.len(), q * channels + m);
-    for c in 0..channels {
-        jacobian.view_mut((c * n, c * q), (n, q)).copy_from(&fit.design);
-    }
-    for (j, t) in fit.stacked_tangents().iter().enumerate() {
-        jacobian.set_column(q * channels + j, t);
-    }
+    let (n, channels) = fit.residual.shape();
+    let (residual, mut jacobian) = (fit.stacked(), fit.jacobian());
     // Columns of one length: the ridge means the same to all.
     for mut column in jacobian.column_iter_mut() {
         let norm = column.norm();
@@ -76,16 +68,14 @@ pub fn earned(system: &dyn MeasurementModel, h: &Hypothesis) -> (Hypothesis, Vec
     while !kept.fit.terms.is_empty() {
         let least = (0..kept.fit.terms.len())
             .filter_map(|k| {
-                let mut terms = kept.fit.terms.clone();
-                let effect = terms.remove(k).effect;
-                let without = fit(system, &terms, &kept.weights, 10)?;
-                let (sum, sd) = gain(system, &kept.fit, &without)?;
-                Some((sum / sd.max(1e-300), effect, without))
+                let without = kept.without(system, |j, _| j == k, 10)?;
+                let (sum, sd) = gain(system, &kept.fit, &without.fit)?;
+                Some((sum / sd.max(1e-300), kept.fit.terms[k].effect, without))
             })
             .min_by(|a, b| a.0.total_cmp(&b.0));
         match least {
-            Some((ratio, effect, fit)) if ratio < 1.0 => {
-                kept = Hypothesis { fit, ..kept };
+            Some((ratio, effect, without)) if ratio < 1.0 => {
+                kept = without;
                 within.push(effect);
             }
             _ => break,
@@ -97,7 +87,7 @@ pub fn earned(system: &dyn MeasurementModel, h: &Hypothesis) -> (Hypothesis, Vec
 #[cfg(test)]
 mod tests {
     use super::super::columns_system_test::ColumnsSystem;
-    use super::super::fit::Weights;
+    use super::super::fit::{Weights, fit};
     use super::*;
 
     /// Effects that are kept and dropped where `slope` of each group acts, ten groups of ten readings.

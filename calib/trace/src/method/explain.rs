@@ -12,10 +12,12 @@
 //! stands in its place.
 
 use super::earned::earned;
-use super::fit::{Weights, fit};
+use super::fit::Weights;
 use super::hypothesis::{Hypothesis, SearchResult};
 use super::min_p::{MinPDistribution, f_test};
-use super::noise::{MeanModel, Misfit, Noise, NoiseInputs, NoiseTerms, best_misfit, estimate};
+use super::noise::{
+    CORRELATED_GAIN, CORRELATED_PRICE, MeanModel, Misfit, Noise, NoiseInputs, best_misfit, estimate,
+};
 use super::omnibus::{COVARIATE_LEVEL, CovariateScore, OmnibusTest, omnibus_test};
 use super::options::Options;
 use super::search::{declared, search};
@@ -50,7 +52,7 @@ const MAX_LEAD: f64 = 300.0;
 /// Noise of an explanation's residuals for predictions of further readings: a correlated part is taken up where it predicts better (Akaike), not
 /// only where a verdict could rest on it.
 pub fn noise_for_predictions(system: &dyn MeasurementModel, h: &Hypothesis, seed: u64) -> Option<Noise> {
-    let judge = NoiseEstimator { noise_terms: NoiseTerms::SUSPECTED, ..NoiseEstimator::new(system, seed) };
+    let judge = NoiseEstimator { correlated_gain: CORRELATED_PRICE, ..NoiseEstimator::new(system, seed) };
     Some(judge.noise(h, &[])?.0)
 }
 
@@ -58,20 +60,20 @@ pub fn noise_for_predictions(system: &dyn MeasurementModel, h: &Hypothesis, seed
 pub struct NoiseEstimator<'a> {
     system: &'a dyn MeasurementModel,
     inputs: NoiseInputs,
-    noise_terms: NoiseTerms,
+    correlated_gain: f64,
     seed: u64,
 }
 
 impl<'a> NoiseEstimator<'a> {
     /// For a session.
     pub fn new(system: &'a dyn MeasurementModel, seed: u64) -> Self {
-        Self { system, inputs: system.noise_inputs(), noise_terms: NoiseTerms::ALL, seed }
+        Self { system, inputs: system.noise_inputs(), correlated_gain: CORRELATED_GAIN, seed }
     }
 
     /// Noise of the residuals of `h`, with further columns where there are some, and how well the model can do under any noise.
     pub fn noise(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<(Noise, Misfit)> {
         let model = MeanModel::of(&h.fit).with(columns);
-        let noise = estimate(&model, &self.inputs, &h.weights, self.noise_terms, self.seed)?;
+        let noise = estimate(&model, &self.inputs, &h.weights, self.correlated_gain, self.seed)?;
         let mut m = best_misfit(&model, &self.inputs, &noise)?;
         // The second witness's covariance is known: its part of -2 log L is its sum of squares.
         let seen = h.fit.witness_count as f64;
@@ -99,10 +101,7 @@ impl<'a> NoiseEstimator<'a> {
             let with = self.noise(&best, &[])?;
             let mut weakest: Option<(f64, Hypothesis)> = None;
             for k in 0..best.fit.terms.len() {
-                let mut terms = best.fit.terms.clone();
-                terms.remove(k);
-                let Some(fit) = fit(self.system, &terms, &best.weights, 10) else { continue };
-                let without = Hypothesis { fit, ..best.clone() };
+                let Some(without) = best.without(self.system, |j, _| j == k, 10) else { continue };
                 let p = self.p_value(&self.noise(&without, &[])?, &with, &found.first_test.family);
                 if weakest.as_ref().is_none_or(|w| p > w.0) {
                     weakest = Some((p, without));
@@ -203,7 +202,7 @@ pub fn explain(system: &dyn MeasurementModel, options: &Options) -> Option<Expla
     for _ in 1..MAX_SEARCHES {
         // Neighbours share something: whether it is noise or an effect is the question, not whether it is there.
         if found.last_test.generic() {
-            judge.noise_terms = NoiseTerms::SUSPECTED;
+            judge.correlated_gain = CORRELATED_PRICE;
         }
         // A model that is degenerate under another noise is judged under the one that it was found with.
         let kept = judge.confirmed(&found).unwrap_or_else(|| found.best.clone());

@@ -93,6 +93,20 @@ impl Fit {
         self.tangents.iter().zip(&self.witness_tangents).map(|(t, w)| stack_with(t, w)).collect()
     }
 
+    /// Derivatives of the whole whitened prediction: by the coefficients channel by channel, then by the nonlinear values.
+    pub fn jacobian(&self) -> DMatrix<f64> {
+        let ((n, q), channels, m) = (self.design.shape(), self.residual.ncols(), self.tangents.len());
+        let rows = self.residual.len() + self.auxiliary_residual.len();
+        let mut jacobian = DMatrix::zeros(rows, q * channels + m);
+        for c in 0..channels {
+            jacobian.view_mut((c * n, c * q), (n, q)).copy_from(&self.design);
+        }
+        for (j, t) in self.stacked_tangents().iter().enumerate() {
+            jacobian.set_column(q * channels + j, t);
+        }
+        jacobian
+    }
+
     /// A column of the readings in channel `channel`, zero elsewhere, in the same order.
     pub fn in_channel(&self, column: &[f64], channel: usize) -> DVector<f64> {
         let mut v = DVector::zeros(self.residual.len() + self.auxiliary_residual.len());
@@ -236,11 +250,6 @@ fn tangents(
         .collect()
 }
 
-/// Residual-space part of a tangent: what the coefficients cannot take up.
-fn off_design(design: &DMatrix<f64>, tangent: &DMatrix<f64>) -> DMatrix<f64> {
-    linear(design, tangent).1
-}
-
 /// Bounds of a nonlinear parameter.
 fn range(system: &dyn MeasurementModel, terms: &[EffectTerm], (t, k): (usize, usize)) -> [f64; 2] {
     system.catalogue()[terms[t].effect].law(terms[t].law).parameters[k].range
@@ -260,8 +269,8 @@ impl FitPoint<'_> {
     fn linearised(&self) -> Option<&(Vec<Tangent>, BoundedNormalEquations)> {
         let make = || {
             let tangents = tangents(self.system, &self.terms, self.weights, &self.here)?;
-            let off =
-                |(t, w): &Tangent| stack_with(&off_design(&self.here.design, &self.weights.apply(t)), w);
+            // What the coefficients cannot take up.
+            let off = |(t, w): &Tangent| stack_with(&linear(&self.here.design, &self.weights.apply(t)).1, w);
             let columns: Vec<DVector<f64>> = tangents.iter().map(off).collect();
             let r = stack_with(&self.here.residual, &self.here.auxiliary_residual);
             let m = columns.len();

@@ -6,10 +6,11 @@
 //!
 //! H. Akaike, IEEE Trans. Automat. Contr. 19 (1974), 716-723; a flagged reading is a free shift in every channel, chosen among n.
 
-use super::fit::{Fit, Status, Weights};
+use super::fit::{Fit, Status, Weights, fit};
+use super::min_p::{MinPDistribution, f_test};
 use super::omnibus::OmnibusTest;
 use super::range_check::range_check;
-use crate::effect::{Role, TermKey, keys};
+use crate::effect::{EffectTerm, Role, TermKey, keys};
 use crate::measurement_model::MeasurementModel;
 
 /// Level at which a rival is rejected. The chance that the true explanation is left out is at most this for each rival that beats it.
@@ -97,6 +98,24 @@ impl Hypothesis {
         (1..terms.len()).all(apart)
             && self.fit.status != Status::RankDeficient
             && range_check(system, &self.fit)
+    }
+
+    /// The same without the terms that `leaves`, everything else refitted in `steps` at most; none where that has no fit.
+    pub fn without(
+        &self,
+        system: &dyn MeasurementModel,
+        leaves: impl Fn(usize, &EffectTerm) -> bool,
+        steps: usize,
+    ) -> Option<Self> {
+        let kept = self.fit.terms.iter().enumerate().filter(|(k, t)| !leaves(*k, t));
+        let terms: Vec<EffectTerm> = kept.map(|(_, t)| t.clone()).collect();
+        Some(Self { fit: fit(system, &terms, &self.weights, steps)?, ..self.clone() })
+    }
+
+    /// p-value of what it lacks of `with`, adjusted by the family that was searched.
+    pub fn removal_p(&self, with: &Fit, family: &MinPDistribution) -> f64 {
+        let extra = (self.fit.dof - with.dof).max(1.0) as usize;
+        family.adjusted(f_test(self.fit.ssr - with.ssr, self.fit.ssr, self.fit.dof, extra))
     }
 
     /// Whether it may be accepted: physical, and its sum of squares no longer falls.

@@ -7,43 +7,30 @@ use super::signature::nuisance;
 use crate::effect::{EffectTerm, LawRequirement, Role};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
-use statrs::distribution::{ContinuousCDF, StudentsT};
 use wcal_core::verify_document::EffectParameter;
+use wcal_map::half95;
 
 /// Joint covariance: coefficients channel by channel, then nonlinear values in term order.
 pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
-    let (n, q, c) = (fit.design.nrows(), fit.design.ncols(), fit.residual.ncols());
-    let m = fit.tangents.len();
-    let mut jacobian = DMatrix::zeros(n * c + fit.auxiliary_residual.len(), q * c + m);
-    for channel in 0..c {
-        jacobian.view_mut((channel * n, channel * q), (n, q)).copy_from(&fit.design);
-    }
-    for (j, t) in fit.stacked_tangents().iter().enumerate() {
-        jacobian.set_column(q * c + j, t);
-    }
+    let jacobian = fit.jacobian();
+    let size = jacobian.ncols();
     let scale: Vec<f64> = jacobian.column_iter().map(|v| v.norm().max(1e-300)).collect();
     let scaled = DMatrix::from_fn(jacobian.nrows(), jacobian.ncols(), |i, j| jacobian[(i, j)] / scale[j]);
     let gram = scaled.transpose() * &scaled;
-    let inverse = gram.pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(q * c + m, q * c + m));
+    let inverse = gram.pseudo_inverse(1e-12).unwrap_or_else(|_| DMatrix::zeros(size, size));
     // What moves no prediction (the place of a step between two readings) has no covariance: 0, never an infinity.
     let dead: Vec<bool> = jacobian.column_iter().map(|v| v.norm() < 1e-150).collect();
-    DMatrix::from_fn(q * c + m, q * c + m, |i, j| {
+    DMatrix::from_fn(size, size, |i, j| {
         if dead[i] || dead[j] { 0.0 } else { inverse[(i, j)] * variance / (scale[i] * scale[j]) }
     })
 }
 
 /// Two-sided 95 % of a Gaussian.
-const NORMAL_95: f64 = 1.96;
+pub const NORMAL_95: f64 = 1.96;
 
 /// Quantile of Student's t for a two-sided 95 % interval.
 pub fn t95(dof: f64) -> f64 {
-    // Past a million degrees of freedom it is the normal distribution's to 2e-6, and the search for it takes minutes.
-    const NORMAL: f64 = 1.959_963_984_540_054;
-    const MANY: f64 = 1e6;
-    if dof > MANY {
-        return NORMAL;
-    }
-    StudentsT::new(0.0, 1.0, dof.max(1.0)).map_or(1.96, |t| t.inverse_cdf(0.975))
+    half95(Some(dof.max(1.0)))
 }
 
 /// Parameters of one effect of an explanation with 95 % intervals.
@@ -150,7 +137,7 @@ pub fn not_told(
     behind: f64,
 ) -> bool {
     let measured = |h: &Hypothesis| {
-        let needs = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).needs;
+        let needs = |t: &EffectTerm| &system.catalogue()[t.effect].law(t.law).needs;
         h.fit.terms.iter().any(|t| needs(t).contains(&LawRequirement::Temperature))
     };
     measured(best) != measured(h)

@@ -145,14 +145,6 @@ pub fn stack_with(readings: &DMatrix<f64>, auxiliary_residual: &DVector<f64>) ->
     v
 }
 
-/// `column` in channel `channel` of `channels`, zero in the others.
-pub fn in_channel(column: &[f64], channel: usize, channels: usize) -> DVector<f64> {
-    let n = column.len();
-    let mut v = DVector::zeros(n * channels);
-    v.rows_mut(channel * n, n).copy_from_slice(column);
-    v
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

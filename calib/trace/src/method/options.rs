@@ -1,6 +1,5 @@
 //! Settings of the search.
 
-use std::fmt;
 use std::sync::Arc;
 
 /// Hears the stage that a search is in, and the part of it that is done, 0 to 1.
@@ -23,14 +22,8 @@ impl ProgressListener {
     }
 }
 
-impl fmt::Debug for ProgressListener {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ProgressListener({})", self.0.is_some())
-    }
-}
-
 /// Settings of the loop.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct Options {
     /// Seed of every draw.
     pub seed: u64,

@@ -5,6 +5,7 @@
 //! for which the smaller three quarters of the residuals have the least sum of squares.
 
 use super::fit::{Fit, Weights, fit, linear};
+use super::hypothesis::Hypothesis;
 use super::noise::tails::outlying;
 use super::signature::nuisance;
 use crate::effect::EffectTerm;
@@ -12,19 +13,7 @@ use crate::measurement_model::MeasurementModel;
 use nalgebra::DMatrix;
 use rand::SeedableRng;
 use rand::seq::index::sample;
-
-/// A fit without the readings that were flagged.
-#[derive(Debug, Clone)]
-pub struct OutlierRejection {
-    /// The refit.
-    pub fit: Fit,
-    /// Weights with flagged readings at zero.
-    pub weights: Weights,
-    /// Flagged readings.
-    pub flagged: Vec<usize>,
-    /// Chance that noise with tails as heavy as the data allow reaches so far.
-    pub p_value: f64,
-}
+use wcal_core::median::median;
 
 /// More flagged readings than this share are no longer single readings.
 const MAX_SHARE: f64 = 0.08;
@@ -65,7 +54,7 @@ pub fn reject_outliers(
     terms: &[EffectTerm],
     start: &Fit,
     weights: &Weights,
-) -> Option<OutlierRejection> {
+) -> Option<Hypothesis> {
     let (n, channels) = start.residual.shape();
     if n < 12 {
         return None;
@@ -100,12 +89,8 @@ pub fn reject_outliers(
         weights = all.masked(|i| !flagged.contains(&i));
         current = fit(system, terms, &weights, 15)?;
     }
-    (!flagged.is_empty() && single(system, &all, &flagged)).then_some(OutlierRejection {
-        fit: current,
-        weights,
-        flagged,
-        p_value,
-    })
+    let singly = !flagged.is_empty() && single(system, &all, &flagged);
+    singly.then_some(Hypothesis { fit: current, weights, flagged, flag_p: p_value })
 }
 
 /// Fewest flagged readings of which it can be said that they are no single ones.
@@ -170,9 +155,8 @@ pub fn initial_outliers(system: &dyn MeasurementModel, weights: &Weights, seed: 
         let r = &y - &x * b;
         let scale: Vec<f64> = (0..channels)
             .map(|c| {
-                median(r.column(c).iter().map(|v| v.abs()).collect())
-                    .max(0.6745 * digit[c] / 12.0_f64.sqrt())
-                    .max(1e-300)
+                let typical = median(r.column(c).iter().map(|v| v.abs())).unwrap_or(0.0);
+                typical.max(0.6745 * digit[c] / 12.0_f64.sqrt()).max(1e-300)
             })
             .collect();
         (0..n)
@@ -208,9 +192,4 @@ pub fn initial_outliers(system: &dyn MeasurementModel, weights: &Weights, seed: 
     let structure =
         out.len() as f64 > 0.03 * n as f64 + 2.0 || large > (0.02 * n as f64 + 1.0).max(out.len() as f64);
     if structure { Vec::new() } else { out }
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }

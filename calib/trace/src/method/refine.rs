@@ -74,11 +74,11 @@ fn refine(system: &dyn MeasurementModel, base: &Hypothesis, from: &Hypothesis) -
     let mut best: Option<(f64, Hypothesis)> = None;
     for (slot, term) in from.fit.terms.iter().enumerate() {
         let effect = &system.catalogue()[term.effect];
-        let plain = effect.laws().len();
+        let plain = effect.laws.len();
         if term.law >= plain {
             continue;
         }
-        for (k, law) in effect.refinements().iter().enumerate() {
+        for (k, law) in effect.refinements.iter().enumerate() {
             let starts: Vec<Vec<EffectTerm>> = starts(law, term)
                 .into_iter()
                 .map(|values| {

@@ -39,7 +39,7 @@ fn extend(system: &dyn MeasurementModel, from: &Hypothesis, signatures: &[Signat
     let mut out: Vec<Hypothesis> = ranked
         .par_iter()
         .flat_map_iter(|&(key, top)| {
-            let laws = system.catalogue()[key.effect].laws();
+            let laws = &system.catalogue()[key.effect].laws;
             // Laws are rivals of their own; within a law the best point of the grid starts the refit.
             let starts: Vec<Vec<EffectTerm>> = (0..laws.len())
                 .filter_map(|l| {
@@ -58,9 +58,7 @@ fn extend(system: &dyn MeasurementModel, from: &Hypothesis, signatures: &[Signat
         })
         .collect();
     let single = outlier_index(system).filter(|_| from.flagged.is_empty());
-    if let Some(c) = single.and_then(|_| reject_outliers(system, &from.fit.terms, &from.fit, &from.weights)) {
-        out.push(Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged, flag_p: c.p_value });
-    }
+    out.extend(single.and_then(|_| reject_outliers(system, &from.fit.terms, &from.fit, &from.weights)));
     out
 }
 
@@ -85,11 +83,11 @@ fn by_subsets(
             if known.contains(&s.key(system.catalogue(), signatures)) {
                 return None;
             }
-            let law = |a: &Signature| system.catalogue()[a.term.effect].law(a.term.law).clone();
+            let law = |a: &Signature| system.catalogue()[a.term.effect].law(a.term.law);
             Some(
                 s.signatures
                     .iter()
-                    .map(|&i| signatures[i].start(&residual, &law(&signatures[i])))
+                    .map(|&i| signatures[i].start(&residual, law(&signatures[i])))
                     .collect::<Vec<EffectTerm>>(),
             )
         })
@@ -243,7 +241,7 @@ fn laws(system: &dyn MeasurementModel, h: &Hypothesis) -> Vec<String> {
 
 /// Identifiers of what terms stand for.
 fn names(system: &dyn MeasurementModel, key: &[TermKey]) -> Vec<String> {
-    key.iter().map(|k| system.catalogue()[k.effect].id().to_owned()).collect()
+    key.iter().map(|k| system.catalogue()[k.effect].id.to_owned()).collect()
 }
 
 /// An explanation that the design does not identify, and why.
@@ -310,10 +308,7 @@ pub fn declared(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> 
         return plain(weights);
     }
     let without = plain(&weights.masked(|i| !out.contains(&i)))?;
-    match reject_outliers(system, &[], &without.fit, &without.weights) {
-        Some(c) => Some(Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged, flag_p: c.p_value }),
-        None => plain(weights),
-    }
+    reject_outliers(system, &[], &without.fit, &without.weights).or_else(|| plain(weights))
 }
 
 /// Flags of a model that has changed: a reading that it explains is taken back.
@@ -321,12 +316,9 @@ fn flag_anew(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
     if h.flagged.is_empty() {
         return h;
     }
-    match reject_outliers(system, &h.fit.terms, &h.fit, &h.weights) {
-        Some(c) => Hypothesis { fit: c.fit, weights: c.weights, flagged: c.flagged, flag_p: c.p_value },
-        None => {
-            let weights = h.weights.unmasked();
-            let refitted = fit(system, &h.fit.terms, &weights, 15);
-            refitted.map_or(h, |fit| Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 })
-        }
-    }
+    reject_outliers(system, &h.fit.terms, &h.fit, &h.weights).unwrap_or_else(|| {
+        let weights = h.weights.unmasked();
+        let refitted = fit(system, &h.fit.terms, &weights, 15);
+        refitted.map_or(h, |fit| Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 })
+    })
 }

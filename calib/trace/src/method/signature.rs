@@ -2,7 +2,7 @@
 
 use super::fit::{Fit, Weights};
 use super::linear::{Basis, stack_with};
-use crate::effect::{Effect, EffectModel, EffectTerm, Role};
+use crate::effect::{EffectModel, EffectTerm, Role};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -73,11 +73,11 @@ pub fn signatures_of_effect(
     weights: &Weights,
     nuisance: &Basis,
 ) -> Vec<Signature> {
-    let candidate: &dyn Effect = system.catalogue()[effect].as_ref();
+    let candidate = &system.catalogue()[effect];
     let channels = fit.residual.ncols();
     let base = fit.design.ncols();
     let mut signatures = Vec::new();
-    for (index, law) in candidate.laws().iter().enumerate() {
+    for (index, law) in candidate.laws.iter().enumerate() {
         for point in grid(law) {
             let mut raw: Vec<DVector<f64>> = Vec::new();
             let mut amplitudes = Vec::new();
@@ -195,7 +195,7 @@ pub fn signatures_of_catalogue(
     (0..system.catalogue().len())
         .into_par_iter()
         .filter(|&e| system.not_observable(e).is_none())
-        .filter(|&e| system.catalogue()[e].acts_severally() || fit.terms.iter().all(|t| t.effect != e))
+        .filter(|&e| system.catalogue()[e].acts_severally || fit.terms.iter().all(|t| t.effect != e))
         .flat_map(|e| signatures_of_effect(system, e, fit, weights, nuisance))
         .filter(|s| fit.terms.iter().all(|t| t.beside(&s.term, system.catalogue())))
         .collect()

@@ -110,7 +110,7 @@ fn promising(catalogue: &Catalogue, signatures: &[Signature], residual: &DVector
             .copied()
             .filter(|&k| signatures[k].term.key(catalogue) == term.key(catalogue))
             .collect();
-        let several = catalogue[term.effect].acts_severally();
+        let several = catalogue[term.effect].acts_severally;
         let apart = || own.iter().all(|&k| signatures[k].term.beside(term, catalogue));
         if own.len() < OF_A_KEY && (!several || apart()) {
             kept.push(i);
@@ -143,37 +143,15 @@ fn combine(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::effect::{Effect, EffectModel, Parameter, Role};
+    use crate::effect::{Effect, law};
     use crate::method::linear::Basis;
     use crate::method::signature::build;
-    use std::sync::Arc;
 
-    /// An effect with a place; the last of four can act more than once.
-    struct Placed(usize);
-
-    impl Effect for Placed {
-        fn id(&self) -> &'static str {
-            "placed"
-        }
-        fn laws(&self) -> Vec<EffectModel> {
-            let role = Role::Shape { grid: &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0] };
-            let place = Parameter { name: "place", unit: "1", range: [0.0, 9.0], role };
-            let (linear, needs) = (Vec::new(), Vec::new());
-            vec![EffectModel { name: "only", parameters: vec![place], linear, largest_share: None, needs }]
-        }
-        fn acts_severally(&self) -> bool {
-            self.0 == 3
-        }
-        fn sentence(&self) -> &'static str {
-            ""
-        }
-        fn source(&self) -> &'static str {
-            ""
-        }
-    }
-
-    fn catalogue() -> Vec<Arc<dyn Effect>> {
-        (0..4).map(|k| Arc::new(Placed(k)) as Arc<dyn Effect>).collect()
+    /// Effects with a place; the last of four can act more than once.
+    fn catalogue() -> Vec<Effect> {
+        let place = law("only").shape("place", "1", [0.0, 9.0], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+        let placed = |k| Effect { acts_severally: k == 3, ..Effect::new("placed", "", vec![place.clone()]) };
+        (0..4).map(placed).collect()
     }
 
     fn signature(effect: usize, v: &DVector<f64>, one_sided: bool) -> Signature {

@@ -5,13 +5,11 @@
 //! after <= before,     after^2 / floor^2 <= max(4, F_{0.999}(n, dof))          n independent held-out values, dof of the floor's replicates
 //! ```
 
-use super::conclusion::Conclusion;
 use super::held_out::Errors;
 use super::judgement::MIN_COVERAGE;
 use super::session_model::{FloorStatement, SessionModel};
 use crate::method::hypothesis::Hypothesis;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
-use wcal_core::verify_document::Verdict;
 
 /// At twice the floor three quarters of the error's variance is no noise of the readings.
 const FAR_ABOVE: f64 = 2.0;
@@ -91,13 +89,4 @@ pub fn fault<M: SessionModel>(
         && errors.coverage95.is_some_and(|c| c >= MIN_COVERAGE);
     let above = above && !stated;
     above.then_some(Fault::FarAboveFloor([after, floor.sd * errors.noise_ratio.max(1.0)]))
-}
-
-/// Whether a verdict claims that a model holds.
-pub fn claims(conclusion: &Conclusion, on_request: bool) -> bool {
-    match conclusion.verdict {
-        Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
-        Verdict::Ambiguous => on_request,
-        Verdict::UnknownEffect | Verdict::Refused => false,
-    }
 }

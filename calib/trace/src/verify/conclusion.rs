@@ -4,10 +4,8 @@ use super::session_model::SessionModel;
 use super::support::supported;
 use crate::effect::{EffectTerm, LawRequirement};
 use crate::error::TraceError;
-use crate::method::fit::fit;
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference::in_class;
-use crate::method::min_p::f_test;
 use crate::method::omnibus::{CovariateScore, LACK_OF_FIT_LEVEL, OmnibusTest};
 use wcal_core::verify_document::{NamedEffect, TwinFault, UnknownEffect, Verdict};
 
@@ -129,25 +127,26 @@ impl Conclusion {
     /// The unsealed readings contradict the accepted model: nothing may be called adequate, explained or accepted on request then.
     /// No driver is named: the fitted readings show none.
     pub fn contradicted(&mut self, p: f64, on_request: bool) {
-        let claimed = match self.verdict {
+        if self.claims(on_request) {
+            self.not_accepted(&format!(
+                "The held-out readings contradict what the fitted readings allow (p = {p:.1e}): something acts there that they do not show."
+            ));
+        }
+    }
+
+    /// Whether the verdict claims that a model holds.
+    pub fn claims(&self, on_request: bool) -> bool {
+        match self.verdict {
             Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
             Verdict::Ambiguous => on_request,
-            _ => false,
-        };
-        if !claimed {
-            return;
+            Verdict::UnknownEffect | Verdict::Refused => false,
         }
-        self.verdict = Verdict::UnknownEffect;
-        self.reason = format!(
-            "The held-out readings contradict what the fitted readings allow (p = {p:.1e}): something acts there that they do not show. {}",
-            self.reason
-        );
     }
 }
 
 /// Identifiers of an explanation's effects, flagged readings among them.
 pub fn ids<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
-    h.effects(model.outliers()).iter().map(|&e| model.catalogue()[e].id().to_owned()).collect()
+    h.effects(model.outliers()).iter().map(|&e| model.catalogue()[e].id.to_owned()).collect()
 }
 
 /// Law of a term, and its further column.
@@ -159,7 +158,7 @@ fn law<M: SessionModel>(model: &M, t: &EffectTerm) -> String {
 
 /// Names and laws of an explanation's terms.
 pub fn laws<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<String> {
-    let of = |t: &EffectTerm| format!("{} {}", model.catalogue()[t.effect].id(), law(model, t));
+    let of = |t: &EffectTerm| format!("{} {}", model.catalogue()[t.effect].id, law(model, t));
     h.fit.terms.iter().map(of).collect()
 }
 
@@ -168,7 +167,7 @@ fn drivers<M: SessionModel>(model: &M, h: &Hypothesis) -> Vec<(usize, Vec<LawReq
     let driver = |t: &EffectTerm| {
         let effect = &model.catalogue()[t.effect];
         let column = effect.column(t.law, model.further_columns()).map(str::to_owned);
-        (t.effect, effect.law(t.law).needs, column)
+        (t.effect, effect.law(t.law).needs.clone(), column)
     };
     let mut all: Vec<_> = h.fit.terms.iter().map(driver).collect();
     all.sort_by_key(|(effect, needs, column)| (*effect, needs.len(), column.clone()));
@@ -189,10 +188,8 @@ fn removal_p<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis, e
     if Some(effect) == model.outliers() {
         return h.flag_p;
     }
-    let terms: Vec<_> = h.fit.terms.iter().filter(|t| t.effect != effect).cloned().collect();
-    let Some(without) = fit(model, &terms, &h.weights, 15) else { return 1.0 };
-    let extra = (without.dof - h.fit.dof).max(1.0) as usize;
-    found.first_test.family.adjusted(f_test(without.ssr - h.fit.ssr, without.ssr, without.dof, extra))
+    let without = h.without(model, |_, t| t.effect == effect, 15);
+    without.map_or(1.0, |without| without.removal_p(&h.fit, &found.first_test.family))
 }
 
 /// Names the effects of `h`; `class` comes from the survivors of its class.
@@ -203,7 +200,7 @@ fn named<M: SessionModel>(
     classmates: &[&Hypothesis],
 ) -> Vec<NamedEffect> {
     let own = h.effects(model.outliers());
-    let id = |e: usize| model.catalogue()[e].id().to_owned();
+    let id = |e: usize| model.catalogue()[e].id.to_owned();
     let class_of = |e: usize| {
         let mut class = vec![id(e)];
         for mate in classmates {
@@ -225,7 +222,7 @@ fn named<M: SessionModel>(
             class: class_of(e),
             p_value: removal_p(model, found, h, e),
             parameters: model.parameters(h, e),
-            sentence: model.format_text(model.catalogue()[e].sentence()),
+            sentence: model.format_text(model.catalogue()[e].sentence),
         })
         .collect()
 }

@@ -36,12 +36,12 @@ pub fn table<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest) -> Vec<D
 
 fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize) -> Detectable {
     let candidate = &model.catalogue()[effect];
-    let laws = candidate.laws();
+    let laws = &candidate.laws;
     let first = laws.first();
     let unit = first.and_then(|l| l.parameters.first().map(|p| p.unit).or(l.linear.first().map(|c| c.1)));
     let unit = unit.map_or_else(|| "readings".to_owned(), |u| model.physical(u, 1.0, 0).1);
     let entry = |status: &str, smallest: Option<f64>, unit: String, why: String| Detectable {
-        id: candidate.id().to_owned(),
+        id: candidate.id.to_owned(),
         smallest,
         smallest_without_pictures: None,
         unit,
@@ -101,7 +101,7 @@ fn has_answer<M: SessionModel>(model: &M, fit: &Fit, effect: usize) -> bool {
         Role::Amplitude { probe } => probe,
         Role::Shape { grid } => grid.first().copied().unwrap_or(0.0),
     };
-    model.catalogue()[effect].laws().iter().enumerate().any(|(law, l)| {
+    model.catalogue()[effect].laws.iter().enumerate().any(|(law, l)| {
         let term = EffectTerm { effect, law, values: l.parameters.iter().map(typical).collect() };
         let terms: Vec<EffectTerm> = fit.terms.iter().cloned().chain([term]).collect();
         model.design(&terms).is_some()
@@ -117,7 +117,7 @@ fn smallest<M: SessionModel>(
 ) -> Option<DetectableSize> {
     let sd = fit.variance().sqrt();
     let critical = test.family.critical(CATALOGUE_LEVEL);
-    let laws = model.catalogue()[effect].laws();
+    let laws = &model.catalogue()[effect].laws;
     let signatures = test.signatures.iter().filter(|a| a.term.effect == effect);
     signatures
         .filter_map(|a| {

@@ -129,7 +129,7 @@ fn not_identified<M: SessionModel>(model: &M, explained: &Explained) -> Vec<Stri
     let mut out: Vec<String> = Vec::new();
     for n in &explained.found.not_identified {
         let sentence =
-            format!("{} is not named: {}.", model.catalogue()[n.effect].id(), model.format_text(&n.why));
+            format!("{} is not named: {}.", model.catalogue()[n.effect].id, model.format_text(&n.why));
         if !out.contains(&sentence) {
             out.push(sentence);
         }

@@ -9,6 +9,7 @@ use crate::method::linear::{Basis, stack_with};
 use crate::method::noise::Noise;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
+use wcal_core::median::median;
 use wcal_core::verify_document::HeldOutError;
 
 /// Held-out errors of the declared and the accepted model.
@@ -133,7 +134,7 @@ pub fn cross_validate<M: SessionModel>(
     } else {
         std::iter::once(&found.base).chain(&found.refitted).collect()
     };
-    let folds = model.folds_under(&conclusion.accepted);
+    let folds = model.folds(&conclusion.accepted);
     let leave = LeaveOut {
         model,
         found,
@@ -184,10 +185,8 @@ pub fn cross_validate<M: SessionModel>(
 /// over all of them lies above a typical reading's by this.
 fn noise_ratio<M: SessionModel>(model: &M, noise: &Noise, readings: &[usize]) -> f64 {
     let all = noise.reading_sd(&model.noise_inputs());
-    let mut sd: Vec<f64> = readings.iter().map(|&i| all[i]).collect();
-    sd.sort_by(f64::total_cmp);
-    let typical = sd.get(sd.len() / 2).copied().unwrap_or(1.0);
-    let square = sd.iter().map(|s| s * s).sum::<f64>() / sd.len().max(1) as f64;
+    let typical = median(readings.iter().map(|&i| all[i])).unwrap_or(1.0);
+    let square = readings.iter().map(|&i| all[i].powi(2)).sum::<f64>() / readings.len().max(1) as f64;
     if typical > 0.0 { square.sqrt() / typical } else { 1.0 }
 }
 

@@ -4,9 +4,10 @@ use super::session_model::SessionModel;
 use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
+use crate::method::linear::stack;
 use crate::method::noise::Noise;
 use crate::method::noise::tails::Tails;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor, Normal, StudentsT};
 
 /// Level of the check: far below the omnibus test's, since a memory effect's curvature is only linearised here.
@@ -60,27 +61,15 @@ pub fn holdout_p<M: SessionModel>(
     // Tangents at the fitted values on every reading; the coefficients of this call are not used.
     let local = fit(whole, &accepted.fit.terms, &Weights::equal(n), 0)?;
     let left = residual(whole, accepted)?;
-    let (q, m, channels) = (local.design.ncols(), local.tangents.len(), left.ncols());
+    // Rows stand channel by channel within a reading.
+    let channels = left.ncols();
+    let at: Vec<usize> = rows.iter().flat_map(|i| (0..channels).map(move |c| c * n + i)).collect();
+    let (count, jacobian, off) = (at.len(), local.jacobian().select_rows(&at), stack(&left).select_rows(&at));
     let spread = covariance(&accepted.fit, 1.0);
-    if spread.nrows() != channels * q + m {
+    if spread.nrows() != jacobian.ncols() {
         return None;
     }
-    let count = channels * rows.len();
-    let mut jacobian = DMatrix::zeros(count, channels * q + m);
-    let mut off = DVector::zeros(count);
-    for (k, &i) in rows.iter().enumerate() {
-        for c in 0..channels {
-            let row = channels * k + c;
-            for j in 0..q {
-                jacobian[(row, c * q + j)] = local.design[(i, j)];
-            }
-            for (j, t) in local.tangents.iter().enumerate() {
-                jacobian[(row, channels * q + j)] = t[(i, c)];
-            }
-            off[row] = left[(i, c)];
-        }
-    }
-    // All channels share one law of the noise; rows stand channel by channel within a reading.
+    // All channels share one law of the noise.
     let own = noise.weights_of(&whole.noise_inputs(), true).covariance(&rows);
     let own = DMatrix::from_fn(count, count, |a, b| {
         if a % channels == b % channels { own[(a / channels, b / channels)] } else { 0.0 }

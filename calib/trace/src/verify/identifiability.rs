@@ -3,9 +3,7 @@
 use super::error_summary::rmse;
 use super::held_out::scored;
 use super::session_model::SessionModel;
-use crate::method::fit::fit;
 use crate::method::hypothesis::{Hypothesis, SearchResult};
-use crate::method::min_p::f_test;
 use crate::method::noise::Noise;
 use wcal_core::verify_document::EffectAblation;
 
@@ -30,17 +28,13 @@ pub fn left_out<M: SessionModel>(
     effects
         .into_iter()
         .filter_map(|effect| {
-            let terms: Vec<_> = accepted.fit.terms.iter().filter(|t| t.effect != effect).cloned().collect();
-            let without = fit(model, &terms, &accepted.weights, 15)?;
-            let (a, b) = (&accepted.fit, &without);
-            let extra = (b.dof - a.dof).max(1.0) as usize;
-            let single = f_test(b.ssr - a.ssr, b.ssr, b.dof, extra);
+            let without = accepted.without(model, |_, t| t.effect == effect, 15)?;
             Some(EffectAblation {
-                id: model.catalogue()[effect].id().to_owned(),
-                misfit_ratio: (b.ssr / a.ssr).sqrt(),
-                p_value: found.first_test.family.adjusted(single),
+                id: model.catalogue()[effect].id.to_owned(),
+                misfit_ratio: (without.fit.ssr / accepted.fit.ssr).sqrt(),
+                p_value: without.removal_p(&accepted.fit, &found.first_test.family),
                 held_out: with,
-                held_out_without: held_out(&Hypothesis { fit: without, ..accepted.clone() }),
+                held_out_without: held_out(&without),
             })
         })
         .collect()

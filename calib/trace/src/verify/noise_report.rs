@@ -1,11 +1,7 @@
 //! The noise in parts, as `verify.json` and a reader have it.
 
-use crate::method::noise::{Estimated, Noise};
+use crate::method::noise::Noise;
 use wcal_core::verify_document::{CorrelatedNoise, NoiseDocument, NoiseLaw, NoisePart};
-
-fn part(e: Estimated) -> NoisePart {
-    NoisePart { value: e.value, interval95: e.interval95 }
-}
 
 /// Standard deviation of a value that is rounded to a step: uniform over the step.
 fn rounded_sd(step: f64) -> f64 {
@@ -13,15 +9,15 @@ fn rounded_sd(step: f64) -> f64 {
 }
 
 /// The parts, `session` from several sessions; what the design cannot tell is absent.
-pub fn noise_document(noise: &Noise, session: Option<Estimated>, unit: &str) -> NoiseDocument {
+pub fn noise_document(noise: &Noise, session: Option<NoisePart>, unit: &str) -> NoiseDocument {
     let step = noise.step.iter().flatten().copied().fold(0.0, f64::max);
     let rounding =
         (step > 0.0).then(|| NoisePart { value: rounded_sd(step), interval95: [rounded_sd(step); 2] });
     let heavy = noise.tails.filter(|t| t.heavy);
     NoiseDocument {
-        repeat: Some(part(noise.repeat)),
-        pose: noise.pose.map(part),
-        session: session.map(part),
+        repeat: Some(noise.repeat),
+        pose: noise.pose,
+        session,
         correlated: noise.correlated.map(|(sd, tau)| CorrelatedNoise {
             sd: sd.value,
             interval95: sd.interval95,

@@ -4,7 +4,7 @@ use crate::method::options::Options;
 use wcal_core::Seal;
 
 /// Settings of `verify`.
-#[derive(Debug, Clone)]
+#[derive(Clone, Default)]
 pub struct VerifyOptions {
     /// Settings of the search.
     pub search: Options,
@@ -12,20 +12,6 @@ pub struct VerifyOptions {
     pub accept: Vec<String>,
     /// Effects that another measurement of the instrument refutes: they are not searched for.
     pub refuted: Vec<String>,
-    /// Permutations of the test of the spread.
-    pub permutations: usize,
     /// What is known of the sealed files.
     pub seal: Seal,
-}
-
-impl Default for VerifyOptions {
-    fn default() -> Self {
-        Self {
-            search: Options::default(),
-            accept: Vec::new(),
-            refuted: Vec::new(),
-            permutations: 4999,
-            seal: Seal::default(),
-        }
-    }
 }

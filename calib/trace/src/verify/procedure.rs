@@ -1,6 +1,6 @@
 //! `verify`: the residual loop, one procedure for every kind of session. The stages are those of docs/src/method.md.
 
-use super::acceptance::{Fault, claims, fault, readable};
+use super::acceptance::{Fault, fault, readable};
 use super::conclusion::{Conclusion, conclude};
 use super::document::document;
 use super::held_out::{
@@ -110,7 +110,7 @@ impl<M: SessionModel> Stage<'_, M> {
         let mut judged = self.judged(conclusion, &self.explained.noise)?;
         let speaks = |conclusion: &Conclusion, judged: &Judged<M>| {
             fault(self.model, &conclusion.accepted, &judged.1, &judged.2, self.shown(&judged.0))
-                .filter(|_| claims(conclusion, self.on_request))
+                .filter(|_| conclusion.claims(self.on_request))
         };
         let mut noise = &self.explained.noise;
         let (base, declared) = (&self.explained.found.base, &self.explained.declared_noise);

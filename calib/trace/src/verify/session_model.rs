@@ -5,12 +5,13 @@ use crate::method::explain::{Explained, explain};
 use crate::method::fit::Weights;
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::lack_of_fit::LackOfFit;
-use crate::method::noise::{Estimated, Noise};
+use crate::method::noise::Noise;
 use crate::verify::options::VerifyOptions;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::Role;
 use wcal_core::verify_document::{
-    EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, SecondWitness, TwinFault, UnknownEffect,
+    EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, NoisePart, SecondWitness, TwinFault,
+    UnknownEffect,
 };
 
 /// A held-out error of `verify.json`.
@@ -96,8 +97,6 @@ pub trait SessionText: MeasurementModel {
     }
     /// What takes up a signature of which nothing is left.
     fn nuisances(&self) -> &'static str;
-    /// Name of a coefficient of the declared model.
-    fn nuisance(&self, column: usize) -> String;
     /// Remarks of this kind of session.
     fn notes(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Vec<String> {
         Vec::new()
@@ -174,14 +173,8 @@ pub trait SessionModel: SessionText + Sized {
     fn quantities(&self) -> &'static [Quantity];
     /// Errors of one reading.
     fn errors(&self, predictions: &Self::Predictions, reading: usize) -> HeldOut;
-    /// The same after a correction of the measured value.
-    fn corrected(&self, predictions: &Self::Predictions, reading: usize, added: &[f64]) -> HeldOut;
-    /// Folds where nothing is sealed.
-    fn folds(&self) -> Folds;
-    /// The same where the accepted model asks for others: what it learned of a place cannot be left out with all readings there.
-    fn folds_under(&self, _accepted: &Hypothesis) -> Folds {
-        self.folds()
-    }
+    /// Folds where nothing is sealed, as the accepted model asks for: what it learned of a place cannot be left out with all readings there.
+    fn folds(&self, accepted: &Hypothesis) -> Folds;
     /// Why a model cannot serve as a calibration at all: no sensitivity, or nothing that its own rows could be predicted by.
     fn useless(&self, _accepted: &Hypothesis) -> Option<String> {
         None
@@ -202,7 +195,7 @@ pub trait SessionModel: SessionText + Sized {
         None
     }
     /// How the zero varies from session to session, where several were joined.
-    fn between_sessions(&self, _accepted: &Hypothesis) -> Option<Estimated> {
+    fn between_sessions(&self, _accepted: &Hypothesis) -> Option<NoisePart> {
         None
     }
 }

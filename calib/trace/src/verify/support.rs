@@ -3,10 +3,9 @@
 
 use super::session_model::SessionModel;
 use crate::effect::Role;
-use crate::method::fit::{Fit, fit};
+use crate::method::fit::Fit;
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference::covariance;
-use crate::method::min_p::f_test;
 use crate::method::omnibus::CATALOGUE_LEVEL;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
@@ -23,17 +22,10 @@ pub fn supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesi
 
 /// `h` refitted without its least supported term, where that is none.
 fn least_supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Option<Hypothesis> {
-    let without = |term: usize| {
-        let mut terms = h.fit.terms.clone();
-        terms.remove(term);
-        let fit = fit(model, &terms, &h.weights, 15)?;
-        let extra = (fit.dof - h.fit.dof).max(1.0) as usize;
-        let p = found.first_test.family.adjusted(f_test(fit.ssr - h.fit.ssr, fit.ssr, fit.dof, extra));
-        Some((p, Hypothesis { fit, ..h.clone() }))
-    };
     (0..h.fit.terms.len())
         .filter_map(|term| {
-            let (p, without) = without(term)?;
+            let without = h.without(model, |k, _| k == term, 15)?;
+            let p = without.removal_p(&h.fit, &found.first_test.family);
             (p >= CATALOGUE_LEVEL || amplitudes_hold_zero(model, &h.fit, term)).then_some((p, without))
         })
         .max_by(|a, b| a.0.total_cmp(&b.0))

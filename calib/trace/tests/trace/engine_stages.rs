@@ -3,7 +3,6 @@
 use crate::toy::{BEND, BEND_SHARE, LINE, NOISE, OUTLIERS, READINGS, SCALE, SHELF, ToySystem, shelf};
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{Binomial, DiscreteCDF};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use wcal_trace::effect::{Effect, EffectTerm};
 use wcal_trace::measurement_model::MeasurementModel;
@@ -107,7 +106,7 @@ impl MeasurementModel for Restless {
         }
         Some(design)
     }
-    fn catalogue(&self) -> &[Arc<dyn Effect>] {
+    fn catalogue(&self) -> &[Effect] {
         self.0.catalogue()
     }
     fn not_observable(&self, effect: usize) -> Option<String> {
@@ -118,9 +117,6 @@ impl MeasurementModel for Restless {
     }
     fn covariates(&self) -> Vec<(String, Vec<f64>)> {
         self.0.covariates()
-    }
-    fn known_noise(&self) -> &DMatrix<f64> {
-        self.0.known_noise()
     }
 }
 
@@ -278,7 +274,7 @@ fn exactly_the_moved_readings_are_flagged() {
 // Screening, refits, competing explanations, adequacy.
 
 fn names(system: &ToySystem, h: &Hypothesis) -> Vec<&'static str> {
-    h.effects(Some(OUTLIERS)).iter().map(|&e| system.catalogue()[e].id()).collect()
+    h.effects(Some(OUTLIERS)).iter().map(|&e| system.catalogue()[e].id).collect()
 }
 
 #[test]

@@ -24,7 +24,6 @@ impl Noise {
 fn run(data: ScalarData, seed: u64) -> ScalarVerification {
     let options = VerifyOptions {
         search: Options { seed, draws: 400, largest: 2, ..Options::default() },
-        permutations: 999,
         ..VerifyOptions::default()
     };
     verify_scalar("simulated", data, &options).unwrap()

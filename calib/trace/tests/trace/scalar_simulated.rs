@@ -110,7 +110,6 @@ fn axis(sweep: &[Reading], mut error_um: impl FnMut(usize, &Reading) -> f64) -> 
 fn quick(seed: u64) -> VerifyOptions {
     VerifyOptions {
         search: Options { seed, draws: 400, largest: 2, ..Options::default() },
-        permutations: 999,
         ..VerifyOptions::default()
     }
 }

@@ -57,7 +57,6 @@ fn table(
 fn run(data: &TransducerData, seed: u64) -> ScalarVerification {
     let options = VerifyOptions {
         search: Options { seed, draws: 400, ..Options::default() },
-        permutations: 999,
         ..VerifyOptions::default()
     };
     verify_scalar("simulated", ScalarData::Transducer(data), &options).unwrap()

@@ -4,8 +4,7 @@ use nalgebra::DMatrix;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_distr::{Distribution, StandardNormal};
-use std::sync::Arc;
-use wcal_trace::effect::{Effect, EffectModel, EffectTerm, Parameter, Role};
+use wcal_trace::effect::{Effect, EffectTerm, law};
 use wcal_trace::measurement_model::MeasurementModel;
 
 /// Indices of the candidates.
@@ -23,63 +22,19 @@ pub const LINE: [f64; 2] = [3.0, 20.0];
 /// Noise of one reading.
 pub const NOISE: f64 = 0.1;
 
-struct Toy(usize);
-
-impl Effect for Toy {
-    fn id(&self) -> &'static str {
-        ["shelf", "bend", "scale", "outliers"][self.0]
-    }
-    fn laws(&self) -> Vec<EffectModel> {
-        let amplitude =
-            |name, range| Parameter { name, unit: "1", range, role: Role::Amplitude { probe: 0.02 } };
-        let parameters = match self.0 {
-            SHELF => vec![
-                amplitude("height", [0.0, 0.5]),
-                Parameter {
-                    name: "place",
-                    unit: "1",
-                    range: [0.02, 0.98],
-                    role: Role::Shape { grid: &[0.2, 0.4, 0.6, 0.8] },
-                },
-            ],
-            SCALE => vec![amplitude("share", [-0.5, 0.5])],
-            _ => Vec::new(),
-        };
-        let linear = if self.0 == BEND { vec![("square", "1")] } else { Vec::new() };
-        let largest_share = (self.0 == BEND).then_some(BEND_SHARE);
-        vec![EffectModel { name: "only", parameters, linear, largest_share, needs: Vec::new() }]
-    }
-    fn refinements(&self) -> Vec<EffectModel> {
-        if self.0 != SHELF {
-            return Vec::new();
-        }
-        let place = |name| Parameter {
-            name,
-            unit: "1",
-            range: [0.02, 0.98],
-            role: Role::Shape { grid: &[0.2, 0.4, 0.6, 0.8] },
-        };
-        let height =
-            |name| Parameter { name, unit: "1", range: [0.0, 0.5], role: Role::Amplitude { probe: 0.02 } };
-        let parameters =
-            vec![height("height"), place("place"), height("second_height"), place("second_place")];
-        vec![EffectModel {
-            name: "two",
-            parameters,
-            linear: Vec::new(),
-            largest_share: None,
-            needs: Vec::new(),
-        }]
-    }
-    fn in_single_readings(&self) -> bool {
-        self.0 == OUTLIERS
-    }
-    fn sentence(&self) -> &'static str {
-        "Something acts."
-    }
-    fn source(&self) -> &'static str {
-        "made for a test"
-    }
+fn catalogue() -> Vec<Effect> {
+    const GRID: &[f64] = &[0.2, 0.4, 0.6, 0.8];
+    let shelf =
+        |name| law(name).amplitude("height", "1", [0.0, 0.5], 0.02).shape("place", "1", [0.02, 0.98], GRID);
+    let two = shelf("two").amplitude("second_height", "1", [0.0, 0.5], 0.02);
+    let two = two.shape("second_place", "1", [0.02, 0.98], GRID);
+    let effect = |id, law| Effect::new(id, "Something acts.", vec![law]);
+    vec![
+        Effect { refinements: vec![two], ..effect("shelf", shelf("only")) },
+        effect("bend", law("only").column("square", "1").at_most(BEND_SHARE)),
+        effect("scale", law("only").amplitude("share", "1", [-0.5, 0.5], 0.02)),
+        Effect { in_single_readings: true, ..effect("outliers", law("only")) },
+    ]
 }
 
 /// How far the shelf at `place` lifts the reading at x; rises over about a tenth of the range.
@@ -90,9 +45,8 @@ pub fn shelf(x: f64, place: f64) -> f64 {
 pub struct ToySystem {
     x: Vec<f64>,
     measured: DMatrix<f64>,
-    catalogue: Vec<Arc<dyn Effect>>,
+    catalogue: Vec<Effect>,
     groups: Vec<u32>,
-    known: DMatrix<f64>,
 }
 
 impl ToySystem {
@@ -105,13 +59,7 @@ impl ToySystem {
             let z: f64 = StandardNormal.sample(&mut rng);
             LINE[0] + LINE[1] * x[i] + extra(i, x[i]) + NOISE * z
         });
-        Self {
-            x,
-            measured,
-            catalogue: (0..4).map(|k| Arc::new(Toy(k)) as Arc<dyn Effect>).collect(),
-            groups: (0..READINGS).map(|i| (i / 10) as u32).collect(),
-            known: DMatrix::zeros(READINGS, 1),
-        }
+        Self { x, measured, catalogue: catalogue(), groups: (0..READINGS).map(|i| (i / 10) as u32).collect() }
     }
 }
 
@@ -140,7 +88,7 @@ impl MeasurementModel for ToySystem {
         }
         Some(DMatrix::from_fn(READINGS, columns.len(), |i, j| columns[j][i]))
     }
-    fn catalogue(&self) -> &[Arc<dyn Effect>] {
+    fn catalogue(&self) -> &[Effect] {
         &self.catalogue
     }
     fn not_observable(&self, _effect: usize) -> Option<String> {
@@ -151,8 +99,5 @@ impl MeasurementModel for ToySystem {
     }
     fn covariates(&self) -> Vec<(String, Vec<f64>)> {
         vec![("stimulus".into(), self.x.clone()), ("t_s".into(), (0..READINGS).map(|i| i as f64).collect())]
-    }
-    fn known_noise(&self) -> &DMatrix<f64> {
-        &self.known
     }
 }

@@ -141,7 +141,7 @@ fn friction_is_tested_on_poses_that_more_friction_would_lose() {
     let data = data("whiskerfbg");
     let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
     let system = system_of(&data, &rows);
-    let effect = system.effects().iter().position(|e| e.id() == "groove-friction").unwrap();
+    let effect = system.catalogue().iter().position(|e| e.id == "groove-friction").unwrap();
     let moments = |mu: f64| system.moments(&[EffectTerm { effect, law: 0, values: vec![mu] }]).map(|m| m.1);
     let [without, with] = [0.0, 0.2].map(|mu| moments(mu).unwrap());
     let change = |k: usize| (0..2).map(|c| (with[k][c] - without[k][c]).abs()).fold(0.0, f64::max);

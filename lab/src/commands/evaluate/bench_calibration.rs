@@ -6,7 +6,7 @@ use std::path::Path;
 use wcal::fit_gpr::training_set;
 use wcal::labels::{LabelSource, moment_labels};
 use wcal::output::OutputFolder;
-use wcal::verify::{self, VerifyOrder, verify_session};
+use wcal::verify::{self, verify_session};
 use wcal_calibration::{CalibrationModel, read_calibration};
 use wcal_core::SessionData;
 use wcal_map::{FitOptions, MapKind, fit_map};
@@ -27,7 +27,7 @@ pub fn calibrate(folder: &Path, seed: u64) -> anyhow::Result<BenchCalibration> {
     let maps = MapKind::ALL.into_iter().map(one_kind).collect::<anyhow::Result<_>>()?;
     let results = folder.with_file_name("verify");
     let mut out = OutputFolder::open(&verify::RESULT, &results, false)?;
-    let report = verify_session(&session, &mut out, &VerifyOrder { seed, ..VerifyOrder::default() })?;
+    let report = verify_session(&session, &mut out, verify::searching(seed, None), None, None)?;
     out.finish()?;
     let calibration = results.join("calibration.json");
     let verified = if calibration.exists() { Some(read_calibration(&calibration)?.model) } else { None };

@@ -6,15 +6,18 @@
 //! A part is taken up where it gains more than chance would; what the design cannot tell is "not known", not zero.
 
 use super::likelihood::{MeanModel, Misfit, best_of, descend, misfit, standardised};
-use super::parts::{Estimated, Noise, NoiseInputs};
+use super::parts::{Noise, NoiseInputs};
 use super::spread_model::{SpreadModel, law_of};
 use super::tails::tails;
 use super::whitening::Weights;
+use wcal_core::median::median;
+use wcal_core::verify_document::NoisePart;
 
 /// Gain in -2 log restricted likelihood from which the correlated part is taken up (chi-squared of 2, 0.3 %).
-const CORRELATED_GAIN: f64 = 11.6;
-/// The same where a test has said that something is left: what its two parameters cost (Akaike).
-const CORRELATED_PRICE: f64 = 4.0;
+pub const CORRELATED_GAIN: f64 = 11.6;
+/// The same where a test rejects independent readings: whether something is shared is decided, only what it is is open. What its two
+/// parameters cost (Akaike).
+pub const CORRELATED_PRICE: f64 = 4.0;
 /// The same for pose scatter (one parameter at its bound, 0.3 %).
 const POSE_GAIN: f64 = 7.5;
 /// Fewer repeats of held poses do not tell pose scatter from repeat noise.
@@ -22,29 +25,9 @@ pub const MIN_HELD_REPEATS: usize = 6;
 /// Fewer readings do not tell a correlation.
 const MIN_CORRELATED: usize = 20;
 
-/// Which parts are looked for.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct NoiseTerms {
-    /// Correlation in time, where it gains more than this in -2 log restricted likelihood.
-    pub correlated_gain: f64,
-    /// Pose scatter.
-    pub pose: bool,
-    /// A law of the spread.
-    pub law: bool,
-}
-
-impl NoiseTerms {
-    /// Everything, each part at its level.
-    pub const ALL: Self = Self { correlated_gain: CORRELATED_GAIN, pose: true, law: true };
-    /// Everything, where a test rejects independent readings: whether something is shared is decided, only what it is is open.
-    pub const SUSPECTED: Self = Self { correlated_gain: CORRELATED_PRICE, ..Self::ALL };
-}
-
 /// Logarithms of time constants that the readings can show: a typical spacing to half the whole time.
 fn time_constants(clock: &[f64]) -> Option<[f64; 2]> {
-    let mut gaps: Vec<f64> = clock.windows(2).map(|w| w[1] - w[0]).filter(|g| *g > 0.0).collect();
-    gaps.sort_by(f64::total_cmp);
-    let typical = *gaps.get(gaps.len() / 2)?;
+    let typical = median(clock.windows(2).map(|w| w[1] - w[0]).filter(|g| *g > 0.0))?;
     let whole = clock.last()? - clock.first()?;
     let range = [typical.ln(), (0.5 * whole).ln()];
     (range[1] > range[0]).then_some(range)
@@ -53,29 +36,29 @@ fn time_constants(clock: &[f64]) -> Option<[f64; 2]> {
 /// Ratios of a shared part to the repeat noise that are searched.
 const RATIOS: [f64; 2] = [0.05, 30.0];
 
-/// Estimates the parts of the noise in the residuals of `model`; `counted` are the readings that count.
+/// Estimates the parts of the noise in the residuals of `model`; `counted` are the readings that count. A part that is correlated in time is
+/// taken up where it gains more than `correlated_gain`.
 pub fn estimate(
     model: &MeanModel,
     inputs: &NoiseInputs,
     counted: &Weights,
-    noise_terms: NoiseTerms,
+    correlated_gain: f64,
     seed: u64,
 ) -> Option<Noise> {
     let n = inputs.settings.len();
     let common = common_of(model, inputs, counted);
     let known = inputs.own(common);
     let mask: Vec<f64> = (0..n).map(|i| if counted.counts(i) { known[i] } else { 0.0 }).collect();
-    let law =
-        if noise_terms.law { law_of(model, inputs, &Weights::independent(mask.clone()), seed) } else { None };
+    let law = law_of(model, inputs, &Weights::independent(mask.clone()), seed);
     let relative = |law: &Option<SpreadModel>| match law {
         Some(l) => mask.iter().zip(l.relative_sd(inputs)).map(|(m, sd)| m / sd).collect(),
         None => mask.clone(),
     };
-    let (mut weights, mut correlated, mut pose) = shared_of(model, inputs, &relative(&law), noise_terms)?;
+    let (mut weights, mut correlated, mut pose) = shared_of(model, inputs, &relative(&law), correlated_gain)?;
     let mut law = law;
     if law.is_some() && weights.shared().is_some() {
         // What readings share can look like a law of the spread: it must hold among whitened readings, too.
-        let (plain, c, p) = shared_of(model, inputs, &mask, noise_terms)?;
+        let (plain, c, p) = shared_of(model, inputs, &mask, correlated_gain)?;
         if plain.shared().is_some() && law_of(model, inputs, &plain, seed).is_none() {
             (weights, correlated, pose, law) = (plain, c, p, None);
         }
@@ -93,7 +76,7 @@ pub fn estimate(
     let whitened = standardised(model, &weights, s)?;
     let half = 1.96 / (2.0 * m.dof).sqrt();
     Some(Noise {
-        repeat: Estimated { value: s, interval95: [s * (1.0 - half).max(0.1), s * (1.0 + half)] },
+        repeat: NoisePart { value: s, interval95: [s * (1.0 - half).max(0.1), s * (1.0 + half)] },
         pose,
         correlated,
         law,
@@ -127,7 +110,7 @@ fn common_of(model: &MeanModel, inputs: &NoiseInputs, counted: &Weights) -> f64 
 }
 
 /// A shared part's estimate.
-type Parts = (Weights, Option<(Estimated, f64)>, Option<Estimated>);
+type Parts = (Weights, Option<(NoisePart, f64)>, Option<NoisePart>);
 
 /// Misfit of `model` at the shared parts that suit it best, whether or not chance would give them: how well it can do at all. `noise` gives
 /// the spread and is where nothing suits better.
@@ -168,7 +151,7 @@ fn shared_of(
     model: &MeanModel,
     inputs: &NoiseInputs,
     relative: &[f64],
-    noise_terms: NoiseTerms,
+    correlated_gain: f64,
 ) -> Option<Parts> {
     let at = |correlated: Option<[f64; 2]>, pose: f64| {
         Weights::sharing(relative.to_vec(), inputs.shared(correlated, pose))
@@ -188,7 +171,7 @@ fn shared_of(
         .as_ref()
         .filter(|_| independent.active() >= MIN_CORRELATED)
         .and_then(|c| time_constants(c));
-    let can_pose = noise_terms.pose && repeats >= MIN_HELD_REPEATS;
+    let can_pose = repeats >= MIN_HELD_REPEATS;
     // Pose scatter alone, correlation alone, both.
     let pose_alone = can_pose.then(|| {
         best_of(&[-1.0, 0.0, 1.0, 2.0], |r| {
@@ -211,8 +194,7 @@ fn shared_of(
     if let Some((v, c)) = pose_alone.filter(|(_, c)| plain - c > POSE_GAIN) {
         found = (c, None, v[0].exp());
     }
-    if let Some((v, c)) =
-        correlated_alone.filter(|(_, c)| plain - c > noise_terms.correlated_gain && *c < found.0 - 2.0)
+    if let Some((v, c)) = correlated_alone.filter(|(_, c)| plain - c > correlated_gain && *c < found.0 - 2.0)
     {
         found = (c, Some(v.map(f64::exp)), 0.0);
     }
@@ -224,7 +206,7 @@ fn shared_of(
         ];
         let (low, high) = ([ratio[0], tau[0], ratio[0]], [ratio[1], tau[1], ratio[1]]);
         let both = descend(start, [0.5; 3], low, high, &|v| cost(Some([v[0].exp(), v[1].exp()]), v[2].exp()));
-        let needed = if found.1.is_some() { POSE_GAIN } else { noise_terms.correlated_gain };
+        let needed = if found.1.is_some() { POSE_GAIN } else { correlated_gain };
         if found.0 - both.1 > needed {
             found = (both.1, Some([both.0[0].exp(), both.0[1].exp()]), both.0[2].exp());
         }
@@ -252,11 +234,11 @@ fn shared_of(
     let pose_part = can_pose.then(|| {
         let f = |x: f64| (cost(correlated, x), sd_at(correlated, x));
         let [low, high] = interval(pose, &f);
-        Estimated { value: pose * s, interval95: [if pose > 0.0 { low } else { 0.0 }, high] }
+        NoisePart { value: pose * s, interval95: [if pose > 0.0 { low } else { 0.0 }, high] }
     });
     let correlated_part = correlated.map(|[r, tau]| {
         let f = |x: f64| (cost(Some([x, tau]), pose), sd_at(Some([x, tau]), pose));
-        (Estimated { value: r * s, interval95: interval(r, &f) }, tau)
+        (NoisePart { value: r * s, interval95: interval(r, &f) }, tau)
     });
     Some((at(correlated, pose), correlated_part, pose_part))
 }
@@ -315,7 +297,7 @@ mod tests {
 
     fn estimated(s: &Simulated) -> Noise {
         let model = MeanModel { design: &s.design, tangents: &[], residual: &s.residual, extra: Vec::new() };
-        estimate(&model, &s.inputs, &Weights::equal(120), NoiseTerms::ALL, 1).unwrap()
+        estimate(&model, &s.inputs, &Weights::equal(120), CORRELATED_GAIN, 1).unwrap()
     }
 
     #[test]

@@ -8,8 +8,8 @@ mod spread_model;
 pub mod tails;
 mod whitening;
 
-pub use estimate::{MIN_HELD_REPEATS, NoiseTerms, best_misfit, estimate};
+pub use estimate::{CORRELATED_GAIN, CORRELATED_PRICE, MIN_HELD_REPEATS, best_misfit, estimate};
 pub use likelihood::{MeanModel, Misfit, misfit};
-pub use parts::{Estimated, Noise, NoiseInputs};
+pub use parts::{Noise, NoiseInputs};
 pub use spread_model::SpreadModel;
 pub use whitening::{SharedNoise, Weights};

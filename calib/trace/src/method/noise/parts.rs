@@ -10,6 +10,7 @@ use super::spread_model::SpreadModel;
 use super::tails::Tails;
 use super::whitening::{SharedNoise, Weights};
 use std::sync::Arc;
+use wcal_core::verify_document::NoisePart;
 
 /// Variance of an average up to which it is as good as a typical one.
 const TYPICAL: f64 = 2.0;
@@ -80,26 +81,17 @@ impl NoiseInputs {
     }
 }
 
-/// A value with its 95 % interval.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Estimated {
-    /// Estimate.
-    pub value: f64,
-    /// 95 % interval.
-    pub interval95: [f64; 2],
-}
-
 /// The noise of a model's residuals.
 #[derive(Debug, Clone)]
 pub struct Noise {
     /// Rows that count, their spread and what they share.
     pub weights: Weights,
     /// Repeat noise `s`: standard deviation of a typical loaded reading by itself, in the unit of the measured values.
-    pub repeat: Estimated,
+    pub repeat: NoisePart,
     /// What setting a pose adds; none where nothing tells it from repeat noise.
-    pub pose: Option<Estimated>,
+    pub pose: Option<NoisePart>,
     /// Part correlated in time, and its time constant in units of the clock; none where the order in time is not known or none was found.
-    pub correlated: Option<(Estimated, f64)>,
+    pub correlated: Option<(NoisePart, f64)>,
     /// The spread's law.
     pub law: Option<SpreadModel>,
     /// Variance that averaging does not lower, beside 1 of a typical reading's average; 0 where all readings are averaged alike.
@@ -113,7 +105,7 @@ pub struct Noise {
 impl Noise {
     /// No noise at all, on the readings of `other`.
     pub fn none(other: &Self) -> Self {
-        let nothing = Estimated { value: 0.0, interval95: [0.0; 2] };
+        let nothing = NoisePart { value: 0.0, interval95: [0.0; 2] };
         let weights = Weights::independent(vec![1.0; other.weights.relative().len()]);
         Self {
             weights,
@@ -134,7 +126,7 @@ impl Noise {
             self.law.as_ref().map_or_else(|| vec![1.0; inputs.settings.len()], |l| l.relative_sd(inputs));
         let relative = own.iter().zip(inputs.own(self.common)).map(|(sd, known)| known / sd).collect();
         let size =
-            |e: &Estimated| if upper { e.interval95[1].max(e.value) } else { e.value } / self.repeat.value;
+            |e: &NoisePart| if upper { e.interval95[1].max(e.value) } else { e.value } / self.repeat.value;
         let correlated = self.correlated.as_ref().map(|(e, tau)| [size(e), *tau]);
         let pose = self.pose.as_ref().filter(|p| p.value > 0.0).map_or(0.0, size);
         Weights::sharing(relative, inputs.shared(correlated, pose))
@@ -142,7 +134,7 @@ impl Noise {
 
     /// Variance of what readings share, in units of the repeat noise's.
     pub fn shared_variance(&self) -> f64 {
-        let of = |e: &Estimated| (e.value / self.repeat.value).powi(2);
+        let of = |e: &NoisePart| (e.value / self.repeat.value).powi(2);
         self.correlated.as_ref().map_or(0.0, |(e, _)| of(e)) + self.pose.as_ref().map_or(0.0, of)
     }
 

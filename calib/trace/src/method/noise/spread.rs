@@ -74,9 +74,15 @@ fn harvey(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
     (b, (0.5 / zz).sqrt(), nll)
 }
 
-/// Tests `residual` (of one mean model, equal weights) against the stimulus. `u` is the stimulus in half ranges and `x` as measured;
-/// `draws` permutations. None with too few readings or a constant stimulus.
-pub fn spread_test(residual: &[f64], x: &[f64], u: &[f64], draws: usize, seed: u64) -> Option<Spread> {
+/// Tests `residual` (of one mean model, equal weights) against the stimulus. `u` is the stimulus in half ranges; `x` as
+/// measured, where a power of it may be the law; `draws` permutations. None with too few readings or a constant stimulus.
+pub fn spread_test(
+    residual: &[f64],
+    x: Option<&[f64]>,
+    u: &[f64],
+    draws: usize,
+    seed: u64,
+) -> Option<Spread> {
     if residual.len() < MIN_READINGS {
         return None;
     }
@@ -103,7 +109,7 @@ pub fn spread_test(residual: &[f64], x: &[f64], u: &[f64], draws: usize, seed: u
         interval95: [b - 1.96 * se, b + 1.96 * se],
         relative_sd: z.iter().map(|z| (b * z).exp()).collect(),
     };
-    if x.iter().all(|x| *x > 0.0) {
+    if let Some(x) = x.filter(|x| x.iter().all(|x| *x > 0.0)) {
         let logs: Vec<f64> = x.iter().map(|x| x.ln()).collect();
         let (b, se, power_nll) = harvey(residual, &logs);
         if power_nll < nll {
@@ -141,7 +147,7 @@ mod tests {
         let mut covered = 0;
         for seed in 0..60 {
             let (r, x, u) = simulated(100, 1.0, seed);
-            let s = spread_test(&r, &x, &u, 400, seed).unwrap();
+            let s = spread_test(&r, Some(&x), &u, 400, seed).unwrap();
             assert!(s.p_value < 0.05 && s.correlation > 0.0, "seed {seed}: {}", s.p_value);
             let (b, se, _) = harvey(&r, &x.iter().map(|x| x.ln()).collect::<Vec<_>>());
             covered += u32::from((b - 1.0).abs() < 1.96 * se);
@@ -154,7 +160,7 @@ mod tests {
         let p: Vec<f64> = (0..300)
             .map(|seed| {
                 let (r, x, u) = simulated(40, 0.0, 1000 + seed);
-                spread_test(&r, &x, &u, 400, seed).unwrap().p_value
+                spread_test(&r, Some(&x), &u, 400, seed).unwrap().p_value
             })
             .collect();
         let low = p.iter().filter(|p| **p < 0.05).count();

@@ -8,6 +8,7 @@ use super::likelihood::{MeanModel, misfit, standardised_by_channel};
 use super::parts::NoiseInputs;
 use super::spread::{SPREAD_LEVEL, Spread, spread_test};
 use super::whitening::Weights;
+use wcal_core::median::median;
 
 /// Permutations of the test of the spread.
 const PERMUTATIONS: usize = 1999;
@@ -54,17 +55,13 @@ pub(super) fn law_of(
         let u: Vec<f64> = rows.iter().flat_map(|(i, _)| vec![values[*i]; channels]).collect();
         let z: Vec<f64> = rows.iter().flat_map(|(_, z)| z.clone()).collect();
         // The power law needs a stimulus of its own: here the spread is exponential in the covariate.
-        let Some(spread) = spread_test(&z, &vec![-1.0; u.len()], &u, PERMUTATIONS, seed) else {
-            continue;
-        };
+        let Some(spread) = spread_test(&z, None, &u, PERMUTATIONS, seed) else { continue };
         if spread.p_value > SPREAD_LEVEL {
             continue;
         }
         // 1 for a typical loaded reading.
-        let mut loaded: Vec<f64> =
-            (0..values.len()).filter(|&i| inputs.posed[i]).map(|i| values[i]).collect();
-        loaded.sort_by(f64::total_cmp);
-        let typical = loaded.get(loaded.len() / 2).copied().unwrap_or(0.0);
+        let loaded = (0..values.len()).filter(|&i| inputs.posed[i]).map(|i| values[i]);
+        let typical = median(loaded).unwrap_or(0.0);
         let law = SpreadModel { follows: name.clone(), spread, typical };
         let own = law.relative_sd(inputs);
         let relative =

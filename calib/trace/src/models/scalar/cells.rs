@@ -137,7 +137,7 @@ impl ScalarSystem {
         let effect = &self.catalogue()[term.effect];
         let law = effect.law(term.law);
         // Laws with memory of the stimulus need the time, but follow the protocol; the settling of an earlier load does not.
-        let by_stimulus = effect.has_memory() && law.name != "settling";
+        let by_stimulus = effect.has_memory && law.name != "settling";
         !by_stimulus
             && law
                 .needs
@@ -149,7 +149,7 @@ impl ScalarSystem {
     fn remembers_in_time(&self, term: &EffectTerm) -> bool {
         let effect = &self.catalogue()[term.effect];
         let by_time = |n: &LawRequirement| matches!(n, LawRequirement::Clock | LawRequirement::Time);
-        effect.has_memory() && effect.law(term.law).needs.iter().any(by_time)
+        effect.has_memory && effect.law(term.law).needs.iter().any(by_time)
     }
 
     /// The first term of `h` that this design does not identify: it gains nothing where it says something of its own, or it rests on one
@@ -159,15 +159,14 @@ impl ScalarSystem {
         let levels = self.levels(&h.weights);
         let cycles = self.cycles(&h.weights);
         (0..h.fit.terms.len()).find_map(|k| {
-            let mut terms = h.fit.terms.clone();
-            let term = terms.remove(k);
-            let without = fit(self, &terms, &h.weights, STEPS)?;
-            let by_clock = self.runs_with_the_clock(&term);
+            let (term, without) = (&h.fit.terms[k], h.without(self, |j, _| j == k, STEPS)?.fit);
+            let terms: Vec<EffectTerm> = h.fit.terms.iter().filter(|t| *t != term).cloned().collect();
+            let by_clock = self.runs_with_the_clock(term);
             let why = |why: String| Some(NotIdentified { effect: term.effect, why });
-            if let Some(plainer) = self.not_told_from(&terms, &term, h) {
+            if let Some(plainer) = self.not_told_from(&terms, term, h) {
                 return why(format!("on this range it cannot be distinguished from {plainer}"));
             }
-            if self.too_little_of_it(&terms, &term, h) {
+            if self.too_little_of_it(&terms, term, h) {
                 return why("a bend of fewer periods describes the readings as well".to_owned());
             }
             if let Some(strata) = &strata
@@ -193,8 +192,8 @@ impl ScalarSystem {
         h: &Hypothesis,
     ) -> Option<&'static str> {
         let law = self.catalogue()[term.effect].law(term.law);
-        let plainer = self.effects()[term.effect].looks_like(&law, &self.frame)?;
-        let effect = self.catalogue().iter().position(|e| e.id() == plainer)?;
+        let plainer = (self.effects()[term.effect].looks_like)(law, &self.frame)?;
+        let effect = self.catalogue().iter().position(|e| e.id == plainer)?;
         let plain = EffectTerm { effect, law: 0, values: Vec::new() };
         let with = |more: &[&EffectTerm]| {
             let terms: Vec<EffectTerm> = others.iter().chain(more.iter().copied()).cloned().collect();
@@ -214,7 +213,10 @@ impl ScalarSystem {
             let terms: Vec<EffectTerm> = others.iter().cloned().chain([other]).collect();
             fit(self, &terms, &h.weights, 0).is_some_and(|f| f.ssr < h.fit.ssr + 4.0 * h.fit.variance())
         };
-        effect.too_little_of_it().iter().any(|shape| (0..effect.laws().len()).any(|law| better(law, *shape)))
+        effect
+            .too_little_of_it
+            .iter()
+            .any(|shape| (0..effect.effect.laws.len()).any(|law| better(law, *shape)))
     }
 
     /// Strata of the design; none where no cell is repeated.

@@ -23,7 +23,6 @@ use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Reco
 use crate::verify::{HeldOut, SessionModel, SessionText, VerifyOptions};
 use nalgebra::DVector;
 use wcal_core::ResidualRecord;
-use wcal_core::observation::Role;
 use wcal_core::verify_document::{EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, UnknownEffect};
 
 /// Predictions at every row, in the system's own values, with half widths of 95 % intervals.
@@ -82,10 +81,6 @@ impl SessionText for ScalarSystem {
         "the declared model"
     }
 
-    fn nuisance(&self, column: usize) -> String {
-        if self.axis() { "constant".to_owned() } else { format!("b{column}") }
-    }
-
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
         let (used, total) = (self.frame.rows.len(), self.points());
         let mut notes = Vec::new();
@@ -124,7 +119,7 @@ impl SessionModel for ScalarSystem {
     }
 
     fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
-        if self.catalogue()[effect].id() == ERROR_TABLE {
+        if self.catalogue()[effect].id == ERROR_TABLE {
             return deviations(self, &h.fit);
         }
         of_effect(self, &h.fit, effect, self.names())
@@ -140,7 +135,7 @@ impl SessionModel for ScalarSystem {
             SpreadLaw::Power => ("power", "exponent"),
             SpreadLaw::Exponential => ("exponential", "log_sd_per_half_range"),
         };
-        let sentence = self.catalogue().iter().find(|c| c.id() == HETEROSCEDASTIC_NOISE);
+        let sentence = self.catalogue().iter().find(|c| c.id == HETEROSCEDASTIC_NOISE);
         Some(NamedEffect {
             id: HETEROSCEDASTIC_NOISE.to_owned(),
             laws: vec![law.to_owned()],
@@ -152,7 +147,7 @@ impl SessionModel for ScalarSystem {
                 unit: "1".to_owned(),
                 interval95: spread.interval95,
             }],
-            sentence: self.format_text(sentence.map_or("", |c| c.sentence())),
+            sentence: self.format_text(sentence.map_or("", |c| c.sentence)),
         })
     }
 
@@ -227,11 +222,7 @@ impl SessionModel for ScalarSystem {
     }
 
     fn errors(&self, predictions: &ScalarPredictions, reading: usize) -> HeldOut {
-        self.corrected(predictions, reading, &[0.0])
-    }
-
-    fn corrected(&self, predictions: &ScalarPredictions, reading: usize, added: &[f64]) -> HeldOut {
-        let error = self.measured()[(reading, 0)] - predictions.value[reading] - added[0];
+        let error = self.measured()[(reading, 0)] - predictions.value[reading];
         HeldOut {
             group: self.frame.groups[reading],
             errors: vec![vec![error]],
@@ -239,11 +230,7 @@ impl SessionModel for ScalarSystem {
         }
     }
 
-    fn folds(&self) -> Folds {
-        folds(&self.frame, Grouping::Stimuli)
-    }
-
-    fn folds_under(&self, accepted: &Hypothesis) -> Folds {
+    fn folds(&self, accepted: &Hypothesis) -> Folds {
         let grouping = if has_table(self, accepted) {
             Grouping::Repeats
         } else if follows_neighbours(self, accepted) {
@@ -270,7 +257,7 @@ impl SessionModel for ScalarSystem {
             source,
             line,
             point,
-            role: role(row.role).to_owned(),
+            role: format!("{:?}", row.role).to_lowercase(),
             group: self.frame.groups[i],
             channel: if self.axis() { "error" } else { "response" }.to_owned(),
             unit: self.unit(),
@@ -281,14 +268,5 @@ impl SessionModel for ScalarSystem {
             rejected: at.rejected.clone(),
             covariates: at.covariates.clone(),
         }]
-    }
-}
-
-fn role(role: Role) -> &'static str {
-    match role {
-        Role::Rest => "rest",
-        Role::Calibration => "calibration",
-        Role::Verification => "verification",
-        Role::Holdout => "holdout",
     }
 }

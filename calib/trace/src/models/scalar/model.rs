@@ -223,7 +223,7 @@ impl ScalarModel {
                 .map(|t| {
                     let candidate = &system.catalogue()[t.effect];
                     ModelTerm {
-                        id: candidate.id().to_owned(),
+                        id: candidate.id.to_owned(),
                         law: candidate.law(t.law).name.to_owned(),
                         column: candidate.column(t.law, &names.covariates).map(str::to_owned),
                         values: t.values.clone(),
@@ -252,7 +252,7 @@ impl ScalarModel {
             .iter()
             .map(|t| {
                 let unknown = || ModelError::UnknownEffect { effect: t.id.clone(), law: t.law.clone() };
-                let effect = system.catalogue().iter().position(|c| c.id() == t.id).ok_or_else(unknown)?;
+                let effect = system.catalogue().iter().position(|c| c.id == t.id).ok_or_else(unknown)?;
                 let (mut law, form) = system.catalogue()[effect].law_named(&t.law).ok_or_else(unknown)?;
                 // Laws of one name follow a column each.
                 if let Some(column) = &t.column {
@@ -313,7 +313,7 @@ impl ScalarModel {
         for t in &terms {
             let effect = &system.catalogue()[t.effect];
             if let Some(needs) = self.missing(&effect.law(t.law).needs, &system.frame) {
-                return Err(ModelError::Column { effect: effect.id().to_owned(), needs: needs.to_owned() });
+                return Err(ModelError::Column { effect: effect.id.to_owned(), needs: needs.to_owned() });
             }
         }
         let slots = self.coefficients.len() + terms.iter().map(|t| t.values.len()).sum::<usize>();
@@ -353,9 +353,11 @@ impl ScalarModel {
     /// As [`Self::predict`], and where the response does not determine the stimulus.
     pub fn invert(&self, rows: &[ScalarRow]) -> Result<Vec<ScalarPrediction>, ModelError> {
         let no = |why: &str| ModelError::Column { effect: "the inverse".into(), needs: why.to_owned() };
-        let catalogue =
-            scalar_catalogue(&Frame::of_new_rows(Vec::new(), &self.scaling, self.declared), &self.covariates);
-        let remembers = |t: &&ModelTerm| catalogue.iter().any(|e| e.id() == t.id && e.has_memory());
+        let catalogue = scalar_catalogue(
+            &Frame::of_new_rows(Vec::new(), &self.scaling, self.declared),
+            self.covariates.len(),
+        );
+        let remembers = |t: &&ModelTerm| catalogue.iter().any(|e| e.effect.id == t.id && e.effect.has_memory);
         if let Some(t) = self.effects.iter().find(remembers) {
             return Err(no(&format!("a model without memory (it carries {}); give the stimulus", t.id)));
         }

@@ -17,7 +17,7 @@ pub fn next_measurement(
     rivals: &[&Hypothesis],
 ) -> Option<NextMeasurement> {
     let id = |h: &Hypothesis| -> Vec<String> {
-        h.effects(system.outliers()).iter().map(|&e| system.catalogue()[e].id().to_owned()).collect()
+        h.effects(system.outliers()).iter().map(|&e| system.catalogue()[e].id.to_owned()).collect()
     };
     let sd = best.fit.variance().sqrt();
     let nearest = rivals

@@ -135,7 +135,7 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
                 push(name, unit, fit.coefficients[(column + k, 0)], [half; 2], f64::MIN);
             }
         }
-        if term.effect == effect && system.catalogue()[effect].id() == PERIODIC {
+        if term.effect == effect && system.catalogue()[effect].id == PERIODIC {
             derived(&mut out, &suffix, fit, column, &covariance, t);
         }
         column += law.linear.len();

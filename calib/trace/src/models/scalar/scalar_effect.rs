@@ -3,34 +3,53 @@
 use super::frame::Frame;
 use crate::effect::{Effect, EffectModel, Values};
 
-/// Where an effect of a scalar session acts; every hook does nothing by default and returns false where the law does not apply.
-pub trait ScalarEffect: Effect {
+/// An effect with where it acts.
+#[derive(Clone)]
+pub struct ScalarEffect {
+    /// Name and laws.
+    pub effect: Effect,
     /// Why the effect cannot be seen in readings that have every column it needs; none where it can.
-    fn not_observable(&self, _frame: &Frame) -> Option<String> {
-        None
-    }
+    pub not_observable: fn(&Frame) -> Option<String>,
     /// The power of the stimulus that it adds to a polynomial of one degree less.
-    fn degree(&self) -> Option<usize> {
-        None
-    }
-    /// The columns of a law are functions of the stimulus alone.
-    fn of_stimulus(&self, _law: &EffectModel) -> bool {
-        self.degree().is_some()
-    }
+    pub degree: Option<usize>,
+    /// A law whose columns are functions of the stimulus alone, although they are no power of it.
+    pub wave_of_stimulus: Option<&'static str>,
     /// A plainer effect that a law of this one looks like on these readings: it is named only where that one is contradicted.
-    fn looks_like(&self, _law: &EffectModel, _frame: &Frame) -> Option<&'static str> {
-        None
-    }
+    pub looks_like: fn(&EffectModel, &Frame) -> Option<&'static str>,
     /// Values of a law's only shape that are none of this effect: where one of them describes the readings better, the effect is not named.
-    fn too_little_of_it(&self) -> &'static [f64] {
-        &[]
+    pub too_little_of_it: &'static [f64],
+    /// Changes the effective stimulus of every reading, in half ranges; false where the law does not apply.
+    pub warp: fn(&Values, &Frame, &mut [f64]) -> bool,
+    /// Columns (one value a reading) with free coefficients; none where the law does not apply.
+    pub columns: fn(&Values, &Frame) -> Option<Vec<Vec<f64>>>,
+}
+
+impl ScalarEffect {
+    /// Whether the columns of a law are functions of the stimulus alone.
+    pub fn of_stimulus(&self, law: &EffectModel) -> bool {
+        self.degree.is_some() || self.wave_of_stimulus == Some(law.name)
     }
-    /// Changes the effective stimulus of every reading, in half ranges.
-    fn warp(&self, _values: &Values, _frame: &Frame, _u: &mut [f64]) -> bool {
-        true
+}
+
+impl ScalarEffect {
+    /// An effect without memory that acts nowhere yet.
+    pub fn new(id: &'static str, sentence: &'static str, laws: Vec<EffectModel>) -> Self {
+        Effect::new(id, sentence, laws).into()
     }
-    /// Appends columns (one value a reading) with free coefficients.
-    fn columns(&self, _values: &Values, _frame: &Frame, _out: &mut Vec<Vec<f64>>) -> bool {
-        true
+}
+
+impl From<Effect> for ScalarEffect {
+    /// An effect that acts nowhere yet.
+    fn from(effect: Effect) -> Self {
+        Self {
+            effect,
+            not_observable: |_| None,
+            degree: None,
+            wave_of_stimulus: None,
+            looks_like: |_, _| None,
+            too_little_of_it: &[],
+            warp: |_, _, _| true,
+            columns: |_, _| Some(Vec::new()),
+        }
     }
 }

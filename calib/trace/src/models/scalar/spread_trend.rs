@@ -11,6 +11,9 @@ use crate::method::omnibus::LACK_OF_FIT_LEVEL;
 use crate::method::signature::nuisance;
 use crate::verify::VerifyOptions;
 
+/// Permutations of the test of the spread.
+const PERMUTATIONS: usize = 4999;
+
 /// Residuals of a fit, each divided by the share of its variance that the fit leaves; unweighted.
 fn standardised(h: &Hypothesis) -> Vec<f64> {
     let basis = nuisance(&h.fit);
@@ -32,9 +35,9 @@ pub(super) fn test_spread(frame: &Frame, h: &Hypothesis, options: &VerifyOptions
     let x = pick(&|i| frame.rows[i].x);
     let mut spread = spread_test(
         &pick(&|i| residual[i]),
-        &x,
+        Some(&x),
         &pick(&|i| frame.u[i]),
-        options.permutations,
+        PERMUTATIONS,
         options.search.seed,
     )?;
     // Readings that do not count keep the mean spread.

@@ -6,6 +6,7 @@ use super::system::ScalarSystem;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::fit;
 use crate::method::hypothesis::Hypothesis;
+use wcal_core::median::median;
 
 /// Cycles over the whole range, fitted to each half of the readings.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,8 +15,6 @@ pub struct Stationarity {
     pub cycles: [f64; 2],
     /// Standard errors.
     pub standard_errors: [f64; 2],
-    /// Amplitudes, response unit.
-    pub amplitudes: [f64; 2],
     /// Difference in standard errors.
     pub z: f64,
 }
@@ -27,21 +26,16 @@ const MIN_HALF: usize = 15;
 
 /// Refits the accepted explanation on each half, in the order of its variable. None without a periodic effect.
 pub fn stationarity(system: &ScalarSystem, h: &Hypothesis) -> Option<Stationarity> {
-    let place = h.fit.terms.iter().position(|t| system.catalogue()[t.effect].id() == PERIODIC)?;
+    let place = h.fit.terms.iter().position(|t| system.catalogue()[t.effect].id == PERIODIC)?;
     let term = &h.fit.terms[place];
     let slot: usize = h.fit.terms[..place].iter().map(|t| t.values.len()).sum();
-    let linear = |t: &crate::effect::EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
-    let own: usize = h.fit.terms.iter().map(linear).sum();
-    let column = h.fit.design.ncols() - own + h.fit.terms[..place].iter().map(linear).sum::<usize>();
     let frame = &system.frame;
     let variable: &[f64] = match term.law {
         0 => &frame.u,
         1 => frame.time.as_deref()?,
         _ => &frame.order,
     };
-    let mut sorted = variable.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let middle = sorted[sorted.len() / 2];
+    let middle = median(variable.iter().copied())?;
     let half = |late: bool| {
         let kept = h.weights.masked(|i| (variable[i] >= middle) == late);
         if kept.active() < MIN_HALF {
@@ -50,14 +44,9 @@ pub fn stationarity(system: &ScalarSystem, h: &Hypothesis) -> Option<Stationarit
         let fitted = fit(system, &h.fit.terms, &kept, 25)?;
         let at = fitted.design.ncols() + slot;
         let error = covariance(&fitted)[(at, at)].max(0.0).sqrt();
-        let amplitude = fitted.coefficients[(column, 0)].hypot(fitted.coefficients[(column + 1, 0)]);
-        Some((fitted.terms[place].values[0], error, amplitude))
+        Some((fitted.terms[place].values[0], error))
     };
-    let ((a, sa, ma), (b, sb, mb)) = (half(false)?, half(true)?);
-    Some(Stationarity {
-        cycles: [a, b],
-        standard_errors: [sa, sb],
-        amplitudes: [ma, mb],
-        z: (b - a).abs() / sa.hypot(sb).max(1e-300),
-    })
+    let ((a, sa), (b, sb)) = (half(false)?, half(true)?);
+    let z = (b - a).abs() / sa.hypot(sb).max(1e-300);
+    Some(Stationarity { cycles: [a, b], standard_errors: [sa, sb], z })
 }

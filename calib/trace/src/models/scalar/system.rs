@@ -5,7 +5,7 @@ use super::effects;
 use super::frame::{Declared, Frame, ScalarRow};
 use super::parameters::Names;
 use super::scalar_effect::ScalarEffect;
-use crate::effect::{Effect, EffectModel, EffectTerm, LawRequirement, Values};
+use crate::effect::{Effect, EffectTerm, LawRequirement, Values};
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::{Hypothesis, NotIdentified};
 use crate::method::noise::NoiseInputs;
@@ -35,7 +35,7 @@ fn unmet(need: LawRequirement, frame: &Frame) -> Option<&'static str> {
             let none = frame.covariates.iter().all(Option::is_none);
             none.then_some("the table has no further covariate that varies")
         }
-        LawRequirement::Motion | LawRequirement::MovingBase | LawRequirement::Weight | LawRequirement::Pictures | LawRequirement::MovingPictures | LawRequirement::StraightArc | LawRequirement::RestReadings => None,
+        LawRequirement::Motion | LawRequirement::Weight | LawRequirement::Pictures | LawRequirement::MovingPictures | LawRequirement::StraightArc | LawRequirement::RestReadings => None,
     }
 }
 
@@ -44,10 +44,9 @@ fn unmet(need: LawRequirement, frame: &Frame) -> Option<&'static str> {
 pub struct ScalarSystem {
     /// Rows and covariates.
     pub frame: Frame,
-    effects: Vec<Arc<dyn ScalarEffect>>,
-    catalogue: Vec<Arc<dyn Effect>>,
+    effects: Vec<ScalarEffect>,
+    catalogue: Vec<Effect>,
     measured: DMatrix<f64>,
-    known: DMatrix<f64>,
     /// 1 / relative standard deviation of each reading, where the spread follows the stimulus.
     weights: Vec<f64>,
     names: Names,
@@ -71,8 +70,7 @@ const FAR: f64 = 1e5;
 impl ScalarSystem {
     /// System of a frame; `covariate_names` belong to the rows' further covariates.
     pub fn new(frame: Frame, covariate_names: &[String]) -> Self {
-        let effects = effects::scalar_catalogue(&frame, covariate_names);
-        let catalogue = effects.iter().map(|e| e.clone() as Arc<dyn Effect>).collect();
+        let effects = effects::scalar_catalogue(&frame, covariate_names.len());
         let n = frame.rows.len();
         let largest = frame.rows.iter().map(|r| r.y.abs()).fold(0.0, f64::max);
         let offset = match frame.declared {
@@ -81,7 +79,6 @@ impl ScalarSystem {
         };
         Self {
             measured: DMatrix::from_fn(n, 1, |i, _| frame.rows[i].y + offset),
-            known: DMatrix::zeros(n, 1),
             weights: vec![1.0; n],
             names: Names {
                 stimulus: String::new(),
@@ -92,8 +89,8 @@ impl ScalarSystem {
             sealed: vec![false; n],
             spread: None,
             frame,
+            catalogue: effects.iter().map(|e| e.effect.clone()).collect(),
             effects,
-            catalogue,
             offset,
         }
     }
@@ -151,7 +148,7 @@ impl ScalarSystem {
     }
 
     /// The effects with their hooks.
-    pub fn effects(&self) -> &[Arc<dyn ScalarEffect>] {
+    pub fn effects(&self) -> &[ScalarEffect] {
         &self.effects
     }
 
@@ -189,16 +186,11 @@ impl MeasurementModel for ScalarSystem {
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
         let frame = &self.frame;
         let mut u = frame.u.clone();
-        let laws: Vec<EffectModel> = terms.iter().map(|t| self.effects[t.effect].law(t.law)).collect();
-        let active = || {
-            let values = |(t, law)| {
-                let term: &EffectTerm = t;
-                (&self.effects[term.effect], Values::new(law, term.law, &term.values))
-            };
-            terms.iter().zip(&laws).map(values)
-        };
+        let law = |t: &EffectTerm| self.catalogue[t.effect].law(t.law);
+        let active =
+            || terms.iter().map(|t| (&self.effects[t.effect], Values::new(law(t), t.law, &t.values)));
         for (effect, values) in active() {
-            if !effect.warp(&values, frame, &mut u) {
+            if !(effect.warp)(&values, frame, &mut u) {
                 return None;
             }
         }
@@ -214,22 +206,20 @@ impl MeasurementModel for ScalarSystem {
             }
         };
         for (effect, values) in active() {
-            if !effect.columns(&values, frame, &mut columns) {
-                return None;
-            }
+            columns.extend((effect.columns)(&values, frame)?);
         }
         let design = DMatrix::from_fn(frame.rows.len(), columns.len(), |i, j| columns[j][i]);
         design.iter().all(|v| v.is_finite()).then_some(design)
     }
 
-    fn catalogue(&self) -> &[Arc<dyn Effect>] {
+    fn catalogue(&self) -> &[Effect] {
         &self.catalogue
     }
 
     fn not_observable(&self, effect: usize) -> Option<String> {
-        let effect = &self.effects[effect];
-        let unmet = effect.needs().into_iter().find_map(|need| unmet(need, &self.frame));
-        unmet.map(str::to_owned).or_else(|| effect.not_observable(&self.frame))
+        let ScalarEffect { effect, not_observable, .. } = &self.effects[effect];
+        let unmet = effect.needs().iter().find_map(|need| unmet(*need, &self.frame));
+        unmet.map(str::to_owned).or_else(|| not_observable(&self.frame))
     }
 
     fn not_identified(&self, h: &Hypothesis) -> Option<NotIdentified> {
@@ -267,10 +257,6 @@ impl MeasurementModel for ScalarSystem {
             }
         }
         out
-    }
-
-    fn known_noise(&self) -> &DMatrix<f64> {
-        &self.known
     }
 
     fn noise_inputs(&self) -> NoiseInputs {

@@ -20,7 +20,7 @@ use wcal_core::verify_document::EffectParameter;
 
 /// Index of the table in the catalogue.
 fn index(system: &ScalarSystem) -> Option<usize> {
-    system.catalogue().iter().position(|e| e.id() == ERROR_TABLE)
+    system.catalogue().iter().position(|e| e.id == ERROR_TABLE)
 }
 
 /// An explanation that holds the table.
@@ -62,7 +62,7 @@ fn refitted(system: &ScalarSystem, terms: &[EffectTerm], base: &Hypothesis) -> O
 /// The plainest table that no richer one beats: by place, with one reversal value for all, with one for each place.
 fn table(system: &ScalarSystem, effect: usize, base: &Hypothesis) -> Option<Hypothesis> {
     let of = |law: usize| EffectTerm { effect, law, values: Vec::new() };
-    let reversal = system.catalogue().iter().position(|e| e.id() == "backlash").and_then(|e| {
+    let reversal = system.catalogue().iter().position(|e| e.id == "backlash").and_then(|e| {
         let (law, _) = system.catalogue()[e].law_named("reversal")?;
         Some(EffectTerm { effect: e, law, values: Vec::new() })
     });

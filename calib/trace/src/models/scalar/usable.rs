@@ -43,7 +43,7 @@ fn columns_of_stimulus(
     degree: usize,
     count: usize,
 ) -> Vec<usize> {
-    let laws: Vec<EffectModel> = terms.iter().map(|t| system.catalogue()[t.effect].law(t.law)).collect();
+    let laws: Vec<&EffectModel> = terms.iter().map(|t| system.catalogue()[t.effect].law(t.law)).collect();
     let mut column = count - laws.iter().map(|l| l.linear.len()).sum::<usize>();
     let mut out: Vec<usize> = (1..=degree).collect();
     for (term, law) in terms.iter().zip(&laws) {

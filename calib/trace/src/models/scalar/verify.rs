@@ -54,7 +54,7 @@ fn degree(system: &ScalarSystem, accepted: &Hypothesis) -> Option<usize> {
     let Declared::Polynomial(declared) = system.frame.declared else { return None };
     let mut powers: Vec<usize> = Vec::new();
     for t in &accepted.fit.terms {
-        powers.push(system.effects()[t.effect].degree()?);
+        powers.push(system.effects()[t.effect].degree?);
     }
     powers.sort_unstable();
     let wanted: Vec<usize> = (declared + 1..=declared + powers.len()).collect();

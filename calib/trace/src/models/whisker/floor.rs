@@ -16,8 +16,6 @@ pub struct Floor {
     pub moving_pm: Option<f64>,
     /// `replicates` (loaded poses were set again) or `difference` (from what the model leaves between neighbouring poses).
     pub source: &'static str,
-    /// Degrees of freedom of the loaded replicates.
-    pub replicate_dof: f64,
     /// Degrees of freedom of the rest readings' repetitions.
     pub rest_dof: f64,
 }
@@ -111,7 +109,6 @@ pub fn noise_floor(system: &WhiskerSystem, h: &Hypothesis, noise: &Noise, left: 
         sd_pm: if left && replicated { (sum / replicate_dof).sqrt() } else { model },
         moving_pm: rms(false),
         source: if replicated { "replicates" } else { "difference" },
-        replicate_dof,
         rest_dof,
     })
 }

@@ -120,8 +120,8 @@ fn mechanics(path: &WhiskerPath, rod_of: RodOf<'_>, model: &PhysicalModel) -> Op
     let mut rod = RodParameters::default();
     let mut xs_mm: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
     for active in &model.terms() {
-        active.effect.rod(&active.values(), &mut rod);
-        active.effect.pose(&active.values(), path, &mut xs_mm);
+        (active.effect.rod)(&active.values(), &mut rod);
+        (active.effect.pose)(&active.values(), path, &mut xs_mm);
     }
     let wire = AcceptedWire {
         rod: rod_of(&rod)?,
@@ -280,7 +280,7 @@ fn readings(system: &WhiskerSystem, xs_mm: &[f64], sensed: &[CalibratedReading])
 fn with_values(model: &PhysicalModel, by: &[f64]) -> PhysicalModel {
     let mut moved = model.clone();
     let laws = model.terms();
-    let ranges = laws.iter().flat_map(ActiveEffect::ranges);
+    let ranges = laws.iter().flat_map(|a| a.law().parameters.iter().map(|p| p.range));
     let values = moved.effects.iter_mut().flat_map(|e| &mut e.values);
     for ((value, [low, high]), by) in values.zip(ranges).zip(&by[2 * model.coefficients.len()..]) {
         *value = (*value + by).clamp(low, high);
@@ -291,7 +291,7 @@ fn with_values(model: &PhysicalModel, by: &[f64]) -> PhysicalModel {
 /// Whether an effect changes the wire: rod or friction.
 fn is_mechanical(effect: &ActiveEffect) -> bool {
     let mut mechanics = RodParameters::default();
-    effect.effect.rod(&effect.values(), &mut mechanics);
+    (effect.effect.rod)(&effect.values(), &mut mechanics);
     RodParameters { offset_mm: [0.0; 3], ..mechanics } != RodParameters::default()
 }
 

@@ -2,8 +2,8 @@
 
 use super::physical::PhysicalModel;
 use super::system::WhiskerSystem;
-use super::whisker_effect::ActiveEffect;
 use crate::effect::EffectTerm;
+use crate::method::inference::NORMAL_95;
 use crate::verify::HeldOut;
 use crate::verify::judgement::JudgedReading;
 use crate::verify::session_model::Quantity;
@@ -11,8 +11,6 @@ use wcal_map::{MapArtefact, MapPredictor};
 
 /// Only moments are judged: a map has no other prediction.
 pub const QUANTITIES: [Quantity; 1] = [Quantity { key: "moment_rmse_nmm", unit: "N mm" }];
-/// Two-sided 95 % of a Gaussian.
-const NORMAL_95: f64 = 1.96;
 
 fn judged(group: u32, inferred: [f64; 2], sd: [f64; 2], pose: [f64; 2]) -> JudgedReading {
     let error = [0, 1].map(|c| inferred[c] - pose[c]);
@@ -35,7 +33,7 @@ pub fn of_model(
     model: &PhysicalModel,
     only_sealed: bool,
 ) -> Option<Vec<JudgedReading>> {
-    let terms: Vec<EffectTerm> = model.terms().into_iter().map(ActiveEffect::into_term).collect();
+    let terms: Vec<EffectTerm> = model.terms().into_iter().map(|a| a.term).collect();
     let (sensed, base) = system.moments(&terms)?;
     let memory: Vec<[f64; 2]> = base.iter().zip(&sensed).map(|(b, f)| [b[0] - f[0], b[1] - f[1]]).collect();
     let inferred = model.infer(&system.path, Some(&memory));

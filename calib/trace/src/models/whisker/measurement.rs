@@ -14,8 +14,8 @@ use crate::measurement_model::MeasurementModel;
 use crate::method::explain::{Explained, explain};
 use crate::method::fit::{Fit, Weights};
 use crate::method::hypothesis::{Hypothesis, SearchResult};
-use crate::method::inference;
-use crate::method::noise::{Estimated, Noise};
+use crate::method::inference::{self, NORMAL_95};
+use crate::method::noise::Noise;
 use crate::method::omnibus::COVARIATE_LEVEL;
 use crate::method::search::declared;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
@@ -23,7 +23,9 @@ use crate::verify::{HeldOut, SessionModel, SessionText, VerifyOptions};
 use nalgebra::Vector2;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::WhiskerRow;
-use wcal_core::verify_document::{EffectParameter, NextMeasurement, NoiseFloor, SecondWitness, TwinFault};
+use wcal_core::verify_document::{
+    EffectParameter, NextMeasurement, NoiseFloor, NoisePart, SecondWitness, TwinFault,
+};
 
 /// Change of the channels' shared noise from which the search is made again.
 const WHITENING_CHANGED: f64 = 1.1;
@@ -37,8 +39,6 @@ const OVERSTATED: f64 = 1.25;
 const MIN_OWN_SHARE: f64 = 0.2;
 /// Share of the whole gain from which one witness decides alone.
 const DECIDES: f64 = 0.8;
-/// Two-sided 95 % of a Gaussian.
-const NORMAL_95: f64 = 1.96;
 /// From the optimum of all readings two Gauss-Newton steps reach that of all but one trajectory.
 const REFIT_STEPS: usize = 2;
 
@@ -64,7 +64,7 @@ fn weighed(system: WhiskerSystem, fit: &Fit, before: &WhiskerSystem) -> WhiskerS
 
 /// Whether an effect delays the readings behind the stage.
 fn is_lag(system: &WhiskerSystem, effect: usize) -> bool {
-    system.catalogue()[effect].id() == "time-lag"
+    system.catalogue()[effect].id == "time-lag"
 }
 
 /// Scatter of the pictures about a fit over what counts of their errors.
@@ -88,14 +88,6 @@ impl SessionText for WhiskerSystem {
 
     fn nuisances(&self) -> &'static str {
         "K, the zero"
-    }
-
-    fn nuisance(&self, column: usize) -> String {
-        match column {
-            0 => "zero".to_owned(),
-            1 | 2 => format!("K_{column}"),
-            later => format!("zero of seating {}", later - 1),
-        }
     }
 
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
@@ -197,7 +189,7 @@ impl SessionModel for WhiskerSystem {
         // Only what the poses are chosen against is promised to be separated.
         let nearest = &rivals[..rivals.len().min(RIVALS)];
         let effects = |h: &Hypothesis| -> String {
-            let ids: Vec<&str> = h.fit.terms.iter().map(|t| self.catalogue()[t.effect].id()).collect();
+            let ids: Vec<&str> = h.fit.terms.iter().map(|t| self.catalogue()[t.effect].id).collect();
             ids.join(" with ")
         };
         let names = std::iter::once(best).chain(nearest.iter().copied()).map(effects).collect();
@@ -228,16 +220,9 @@ impl SessionModel for WhiskerSystem {
     }
 
     fn errors(&self, predictions: &Predictions, reading: usize) -> HeldOut {
-        self.corrected(predictions, reading, &[0.0, 0.0])
-    }
-
-    fn corrected(&self, predictions: &Predictions, reading: usize, added: &[f64]) -> HeldOut {
         let (r, p) = (&self.path.readings[reading], &predictions.readings[reading]);
-        let inverse = predictions.sensitivity.try_inverse().unwrap_or_default();
-        let shift = Vector2::new(added[0], added[1]);
-        // What is added to the shift is no moment's.
-        let moment = Vector2::from(p.moment_nmm) - inverse * shift - Vector2::from(p.pose_moment_nmm);
-        let wavelength = Vector2::from(r.shift_pm) - Vector2::from(p.shift_pm) - shift;
+        let moment = Vector2::from(p.moment_nmm) - Vector2::from(p.pose_moment_nmm);
+        let wavelength = Vector2::from(r.shift_pm) - Vector2::from(p.shift_pm);
         let inside = |c: usize| moment[c].abs() <= NORMAL_95 * p.moment_sd_nmm[c];
         HeldOut {
             group: r.group,
@@ -250,7 +235,7 @@ impl SessionModel for WhiskerSystem {
         }
     }
 
-    fn folds(&self) -> Folds {
+    fn folds(&self, _accepted: &Hypothesis) -> Folds {
         let readings = &self.path.readings;
         let mut groups: Vec<u32> = readings.iter().filter(|r| !r.rest).map(|r| r.group).collect();
         groups.sort_unstable();
@@ -313,7 +298,7 @@ impl SessionModel for WhiskerSystem {
         Some(report)
     }
 
-    fn between_sessions(&self, accepted: &Hypothesis) -> Option<Estimated> {
+    fn between_sessions(&self, accepted: &Hypothesis) -> Option<NoisePart> {
         spread_of_zeros(self, &accepted.fit).map(|b| b.session)
     }
 }
@@ -339,7 +324,7 @@ fn witness_note(s: &SecondWitness) -> String {
 
 /// What the readings ask for and what is left, where neither is beyond the model's own error.
 fn model_error(system: &WhiskerSystem, found: &SearchResult) -> Vec<String> {
-    let ids: Vec<&str> = found.within_model_error.iter().map(|&e| system.catalogue()[e].id()).collect();
+    let ids: Vec<&str> = found.within_model_error.iter().map(|&e| system.catalogue()[e].id).collect();
     let dropped = (!ids.is_empty()).then(|| {
         format!(
             "Within model error: the fitted readings ask for {}, which lowers the error of trajectories left out by less than its uncertainty; not \

@@ -6,6 +6,7 @@ pub mod effects;
 pub mod floor;
 pub mod groove_motion;
 pub mod judgement;
+mod kept;
 mod measurement;
 pub mod next;
 mod noise;

@@ -6,7 +6,7 @@ use crate::measurement_model::MeasurementModel;
 use crate::method::ambiguity::power;
 use crate::method::fit::Fit;
 use crate::method::hypothesis::Hypothesis;
-use crate::method::linear::{Basis, in_channel, stack};
+use crate::method::linear::{Basis, stack};
 use nalgebra::DMatrix;
 use wcal_core::observation::{Role, WhiskerRow};
 use wcal_core::verify_document::{NextMeasurement, NextPose};
@@ -125,7 +125,9 @@ fn separation(
     let mut basis = Basis::default();
     let mut free = |column: &[f64]| {
         for c in 0..channels {
-            basis.push(&in_channel(column, c, channels));
+            let mut one = DMatrix::zeros(total, channels);
+            one.column_mut(c).copy_from_slice(column);
+            basis.push(&stack(&one));
         }
     };
     free(&extend(&vec![0.0; n], &|_| 1.0, 1.0));
@@ -212,7 +214,7 @@ pub fn next_measurement(
             let effect = &system.catalogue()[t.effect];
             let by_clock =
                 |need: &LawRequirement| matches!(need, LawRequirement::Time | LawRequirement::Temperature);
-            effect.needs().iter().any(by_clock) && !effect.has_memory()
+            effect.needs().iter().any(by_clock) && !effect.has_memory
         };
         let needed = if rivals.iter().chain([&best]).any(|h| h.fit.terms.iter().any(slow)) {
             "the temperature has to change otherwise than steadily with time: warm the rod_tables by some kelvin, let it cool, and take a rest \

@@ -3,6 +3,7 @@
 use crate::method::noise::NoiseInputs;
 use crate::whisker::path::{Reading, WhiskerPath, averaged_readings};
 use std::sync::Arc;
+use wcal_core::median::median;
 use wcal_core::observation::WhiskerData;
 
 /// Stage positions nearer than this are one, mm (half a microstep of the finest stages).
@@ -52,9 +53,7 @@ fn held(a: &Reading, b: &Reading, time: bool) -> bool {
 /// Readings whose place is not known do not count; those with larger known sample noise count less: the common part is not known yet, so only the worst ones feel it.
 fn known(readings: &[Reading]) -> Vec<f64> {
     let own: Vec<f64> = readings.iter().map(|r| r.sample_sd_pm[0].hypot(r.sample_sd_pm[1])).collect();
-    let mut sizes = own.clone();
-    sizes.sort_by(f64::total_cmp);
-    let limit = FEW_SAMPLES * sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
+    let limit = FEW_SAMPLES * median(own.iter().copied()).unwrap_or(0.0);
     let of = |(s, r): (&f64, &Reading)| {
         let weight = if limit > 0.0 && *s > limit { limit / s } else { 1.0 };
         if r.unsteady { 0.0 } else { weight }

@@ -1,12 +1,14 @@
 //! The session as it really ran: readings in time order, with the moves and dwells between them.
 
 use crate::whisker::temperature::RandomWalkModel;
+use crate::whisker::whisker_effect::ActiveEffect;
 use nalgebra::Vector3;
+use wcal_core::median::median;
 use wcal_core::observation::{FbgSpec, MomentAxes, Role, Trajectory, WhiskerRow};
 use wcal_rod::Line;
 
 /// One reading in the form the models need.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Reading {
     /// Index of the trajectory in [`WhiskerPath::lines`]; none at rest away from any.
     pub line: Option<usize>,
@@ -48,7 +50,7 @@ pub struct Reading {
 }
 
 /// A moment on the path: a reading, or an arrival between readings.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Node {
     /// Time, s.
     pub t_s: f64,
@@ -80,7 +82,7 @@ pub struct Columns {
 }
 
 /// A whisker session on its path.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct WhiskerPath {
     /// Readings in time order.
     pub readings: Vec<Reading>,
@@ -106,6 +108,20 @@ impl WhiskerPath {
         let of = |k: u32| self.readings.iter().map(|r| f64::from(u8::from(r.seating == k))).collect();
         (1..seatings).map(of).collect()
     }
+
+    /// Columns of the readout at `sensed` moments, one value a reading each: zero, both moments, zeros of seatings, those of effects.
+    pub(super) fn readout_columns(
+        &self,
+        seatings: u32,
+        effects: &[ActiveEffect],
+        sensed: &[[f64; 2]],
+    ) -> Vec<Vec<f64>> {
+        let moment = |c: usize| sensed.iter().map(|m| m[c]).collect();
+        let mut columns = vec![vec![1.0; sensed.len()], moment(0), moment(1)];
+        columns.extend(self.seating_columns(seatings));
+        columns.extend(effects.iter().flat_map(|a| (a.effect.columns)(&a.values(), self, sensed)));
+        columns
+    }
 }
 
 /// Temperature of a reading, deg C: of its reference grating where there is one, else of its own sensor.
@@ -119,15 +135,11 @@ const AVERAGED_ALIKE: f64 = 1.5;
 /// Variances that averages have by their numbers of samples, 1 for a typical settled loaded reading; empty where all are alike or a
 /// number is missing. Each reading: samples, loaded, settled.
 pub(crate) fn averaged(readings: &[(Option<u32>, bool, bool)]) -> Vec<f64> {
-    let of = |settled: bool| -> Vec<f64> {
+    let of = |settled: bool| {
         let kept = readings.iter().filter(|r| r.1 && (r.2 || !settled));
-        let mut all: Vec<f64> = kept.filter_map(|r| r.0).map(f64::from).collect();
-        all.sort_by(f64::total_cmp);
-        all
+        median(kept.filter_map(|r| r.0).map(f64::from))
     };
-    let settled = of(true);
-    let sizes = if settled.is_empty() { of(false) } else { settled };
-    let Some(typical) = sizes.get(sizes.len() / 2) else { return Vec::new() };
+    let Some(typical) = of(true).or_else(|| of(false)) else { return Vec::new() };
     let variance = |r: &(Option<u32>, bool, bool)| r.0.map(|n| typical / f64::from(n.max(1)));
     let Some(variances) = readings.iter().map(variance).collect::<Option<Vec<f64>>>() else {
         return Vec::new();
@@ -319,41 +331,18 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
     for (i, r) in readings.iter().enumerate() {
         // Between seatings the whisker was free.
         if let Some(last) = i.checked_sub(1).map(|k| &readings[k]).filter(|l| l.seating != r.seating) {
-            let free =
-                |t_s: f64| Node { t_s, line: None, x_mm: 0.0, rest: true, moving: false, reading: None };
+            let free = |t_s: f64| Node { t_s, rest: true, ..Node::default() };
             nodes.extend([free(last.t_s + 1e-3), free(r.t_s - r.dwell_s - 1e-3)]);
         }
+        let still = |t_s| Node { t_s, line: r.line, x_mm: places_mm[i], rest: r.rest, ..Node::default() };
         if time && r.velocity_mm_s == 0.0 && r.dwell_s > 0.0 {
             let earliest = nodes.last().map_or(f64::NEG_INFINITY, |n| n.t_s);
-            let arrival = (r.t_s - r.dwell_s).max(earliest);
-            nodes.push(Node {
-                t_s: arrival,
-                line: r.line,
-                x_mm: places_mm[i],
-                rest: r.rest,
-                moving: false,
-                reading: None,
-            });
+            nodes.push(still((r.t_s - r.dwell_s).max(earliest)));
         }
-        nodes.push(Node {
-            t_s: r.t_s,
-            line: r.line,
-            x_mm: places_mm[i],
-            rest: r.rest,
-            moving: r.velocity_mm_s != 0.0,
-            reading: Some(i),
-        });
+        nodes.push(Node { moving: r.velocity_mm_s != 0.0, reading: Some(i), ..still(r.t_s) });
         let next_s = readings.get(i + 1).map_or(f64::INFINITY, |n| n.t_s - n.dwell_s);
         if time && r.stays_s > 0.0 && r.t_s + r.stays_s < next_s {
-            let t_s = r.t_s + r.stays_s;
-            nodes.push(Node {
-                t_s,
-                line: r.line,
-                x_mm: places_mm[i],
-                rest: r.rest,
-                moving: false,
-                reading: None,
-            });
+            nodes.push(still(r.t_s + r.stays_s));
         }
     }
     nodes

@@ -93,9 +93,9 @@ impl PhysicalModel {
             .terms
             .iter()
             .map(|t| {
-                let effect = &system.effects()[t.effect];
+                let effect = &system.catalogue()[t.effect];
                 AcceptedEffect {
-                    id: effect.id().to_owned(),
+                    id: effect.id.to_owned(),
                     law: effect.law(t.law).name.to_owned(),
                     values: t.values.clone(),
                     parameters: crate::method::inference::parameters(system, h, t.effect),
@@ -152,8 +152,8 @@ impl PhysicalModel {
         let (mut columns, mut values) = (3, 0);
         for a in &self.effects {
             let unknown = || ModelError::UnknownEffect { effect: a.id.clone(), law: a.law.clone() };
-            let effect = catalogue.iter().find(|e| e.id() == a.id).ok_or_else(unknown)?;
-            let (_, law) = effect.law_named(&a.law).ok_or_else(unknown)?;
+            let effect = catalogue.iter().find(|e| e.effect.id == a.id).ok_or_else(unknown)?;
+            let (_, law) = effect.effect.law_named(&a.law).ok_or_else(unknown)?;
             if a.values.len() != law.parameters.len() {
                 let what = format!("values of {} ({})", a.id, a.law);
                 return Err(ModelError::shape(what, law.parameters.len(), a.values.len()));
@@ -206,8 +206,8 @@ impl PhysicalModel {
         self.effects
             .iter()
             .filter_map(|a| {
-                let index = catalogue.iter().position(|e| e.id() == a.id)?;
-                let (law, _) = catalogue[index].law_named(&a.law)?;
+                let index = catalogue.iter().position(|e| e.effect.id == a.id)?;
+                let (law, _) = catalogue[index].effect.law_named(&a.law)?;
                 let mut values = a.values.clone();
                 if let Some(v) = moved.and_then(|(k, by)| Some((values.get_mut(k.checked_sub(place)?)?, by)))
                 {
@@ -215,7 +215,7 @@ impl PhysicalModel {
                 }
                 place += a.values.len();
                 let term = EffectTerm { effect: index, law, values };
-                Some(ActiveEffect::new(catalogue[index].clone(), term))
+                Some(ActiveEffect { effect: &catalogue[index], term })
             })
             .collect()
     }
@@ -233,7 +233,7 @@ impl PhysicalModel {
         self.effects
             .iter()
             .zip(&terms)
-            .find_map(|(a, t)| Some((a.id.as_str(), t.needs().iter().find_map(lacks)?)))
+            .find_map(|(a, t)| Some((a.id.as_str(), t.law().needs.iter().find_map(lacks)?)))
     }
 
     /// Predicted shifts at `sensed` moments, readings x channels, pm.
@@ -251,16 +251,7 @@ impl PhysicalModel {
         path: &WhiskerPath,
         sensed: &[[f64; 2]],
     ) -> Vec<Vec<f64>> {
-        let mut columns = vec![
-            vec![1.0; sensed.len()],
-            sensed.iter().map(|m| m[0]).collect(),
-            sensed.iter().map(|m| m[1]).collect(),
-        ];
-        columns.extend(path.seating_columns(self.seatings));
-        for a in terms {
-            a.effect.columns(&a.values(), path, sensed, &mut columns);
-        }
-        columns
+        path.readout_columns(self.seatings, terms, sensed)
     }
 
     /// Base moments from the shifts of `path`, in time order. `memory` is what memory effects take from each reading's moment where the
@@ -391,7 +382,7 @@ pub(super) fn undo_memory(
     for _ in 0..40 {
         let mut at_nodes: Vec<[f64; 2]> = source.iter().map(|&i| base[i]).collect();
         for a in terms {
-            a.effect.sensor(&a.values(), path, &mut at_nodes);
+            a.sensor(path, &mut at_nodes);
         }
         let mut change: f64 = 0.0;
         for (node, m) in path.nodes.iter().zip(&at_nodes) {

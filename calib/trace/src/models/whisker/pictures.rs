@@ -17,11 +17,12 @@
 //! A pair without `errors` shows the contact alone. Nobody says which part of its stated covariance all pairs share, so all of it may be:
 //! it counts once as the pair's own and once more as one shift of every such pair.
 
+use super::kept::Kept;
 use super::path::WhiskerPath;
 use super::picture_observations::{observed, root_of, values, with_tolerances};
 use nalgebra::{DMatrix, DVector, Vector3};
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use wcal_core::observation::{PairLeftOut, SessionShapes, WhiskerRow};
 
 /// Masks whose `M` is kept.
@@ -104,7 +105,7 @@ pub struct Pictures {
     /// Share of the stated own errors that counts.
     own_share: f64,
     /// `M` by the readings that count.
-    roots: Mutex<HashMap<Vec<bool>, Arc<DMatrix<f64>>>>,
+    roots: Kept<Vec<bool>, DMatrix<f64>>,
     /// Pairs that have a row and no place here, and why.
     left_out: Vec<PairLeftOut>,
 }
@@ -149,7 +150,7 @@ impl Pictures {
             readings: Arc::new(readings),
             shared: all,
             own_share: 1.0,
-            roots: Mutex::default(),
+            roots: Kept::at_most(KEPT_MASKS),
             left_out,
         })
     }
@@ -163,7 +164,7 @@ impl Pictures {
             readings: self.readings.clone(),
             shared: &self.shared * stretch,
             own_share: share,
-            roots: Mutex::default(),
+            roots: Kept::at_most(KEPT_MASKS),
             left_out: self.left_out.clone(),
         }
     }
@@ -218,8 +219,8 @@ impl Pictures {
             }
         }
         let mask: Vec<bool> = self.pairs.iter().map(|p| counts(p.reading)).collect();
-        let along = self.shared.tr_mul(&u);
-        let mut taken = &self.shared * (&*self.root(&mask) * along);
+        let Some(root) = self.roots.get(mask.clone(), || Some(self.root(&mask))) else { return u };
+        let mut taken = &self.shared * (&*root * self.shared.tr_mul(&u));
         for (value, reading) in taken.iter_mut().zip(self.readings.iter()) {
             if !counts(*reading) {
                 *value = 0.0;
@@ -229,12 +230,7 @@ impl Pictures {
     }
 
     /// `M` over the pairs of `mask`.
-    fn root(&self, mask: &[bool]) -> Arc<DMatrix<f64>> {
-        if let Ok(kept) = self.roots.lock()
-            && let Some(found) = kept.get(mask)
-        {
-            return found.clone();
-        }
+    fn root(&self, mask: &[bool]) -> DMatrix<f64> {
         let mut counted = self.shared.clone();
         for (pair, counts) in self.pairs.iter().zip(mask) {
             if !counts {
@@ -245,14 +241,7 @@ impl Pictures {
         // ((1 + s^2)^(-1/2) - 1) / s^2 tends to -1/2 where an error moves nothing.
         let shrink = |s2: f64| if s2 < 1e-9 { -0.5 } else { ((1.0 + s2).sqrt().recip() - 1.0) / s2 };
         let middle = DMatrix::from_diagonal(&parts.eigenvalues.map(|v| shrink(v.max(0.0))));
-        let root = Arc::new(&parts.eigenvectors * middle * parts.eigenvectors.transpose());
-        if let Ok(mut kept) = self.roots.lock() {
-            if kept.len() >= KEPT_MASKS {
-                kept.clear();
-            }
-            kept.insert(mask.to_vec(), root.clone());
-        }
-        root
+        &parts.eigenvectors * middle * parts.eigenvectors.transpose()
     }
 }
 

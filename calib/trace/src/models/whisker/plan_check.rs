@@ -114,7 +114,7 @@ fn planned(data: &WhiskerData) -> Result<Vec<PlannedEffect>, TraceError> {
 fn of_effect(system: &WhiskerSystem, signatures: &[Signature], effect: usize) -> PlannedEffect {
     let candidate = &system.catalogue()[effect];
     let entry = |status: &str, why: String| PlannedEffect {
-        id: candidate.id().to_owned(),
+        id: candidate.id.to_owned(),
         status: status.to_owned(),
         why,
         never_apart: Vec::new(),
@@ -123,7 +123,7 @@ fn of_effect(system: &WhiskerSystem, signatures: &[Signature], effect: usize) ->
     if let Some(why) = system.not_observable(effect) {
         return entry("not-observable", why);
     }
-    if candidate.laws().iter().all(|l| l.parameters.is_empty() && l.linear.is_empty()) {
+    if candidate.laws.iter().all(|l| l.parameters.is_empty() && l.linear.is_empty()) {
         return entry("testable", "single readings far outside the noise are flagged".to_owned());
     }
     let of = |e: usize| -> Vec<&Signature> { signatures.iter().filter(|a| a.term.effect == e).collect() };
@@ -146,7 +146,7 @@ fn of_effect(system: &WhiskerSystem, signatures: &[Signature], effect: usize) ->
         }
         let best = |a: &Signature| theirs.iter().map(|b| imitated(a, b)).fold(0.0, f64::max);
         let each: Vec<f64> = own.iter().map(|a| best(a)).collect();
-        let id = system.catalogue()[other].id().to_owned();
+        let id = system.catalogue()[other].id.to_owned();
         if each.iter().all(|c| *c > CLASS_COSINE) {
             out.never_apart.push(id);
         } else if each.iter().any(|c| *c > CLASS_COSINE) {

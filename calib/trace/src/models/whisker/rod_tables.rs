@@ -1,9 +1,10 @@
 //! Base moments along each trajectory from the rod, tabulated; friction as a play between two slip branches.
 
 use crate::whisker::branch_cache::BranchCache;
+use crate::whisker::kept::Kept;
 use crate::whisker::path::Node;
 use crate::whisker::rod_parameters::RodParameters;
-use crate::whisker::solve_cache::{SolveCache, positions};
+use crate::whisker::solve_cache::positions;
 use crate::whisker::tables::{LineTable, MAX_RATIO, RATIO_STEPS, SlipRow, SlipTable};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -24,11 +25,11 @@ pub struct RodTables {
     pub(crate) axes: MomentAxes,
     /// So few readings that each is solved for by itself.
     sparse: bool,
-    pub(crate) points: SolveCache,
+    pub(crate) points: Kept<Key, Vec<Option<Equilibrium>>>,
     touches: Mutex<HashMap<(usize, [u64; 5]), Touch>>,
     pub(crate) branches: BranchCache,
-    tables: Mutex<HashMap<Key, Arc<Vec<LineTable>>>>,
-    slips: Mutex<HashMap<Key, Arc<Vec<Option<SlipTable>>>>>,
+    tables: Kept<Key, Vec<LineTable>>,
+    slips: Kept<Key, Vec<Option<SlipTable>>>,
 }
 
 /// Mesh of the rod, mm: moments differ by 4e-6 N mm from those of a fine mesh (wcal-rod, tests/acceptance/order.rs).
@@ -95,11 +96,11 @@ impl RodTables {
             reach_mm: path.reach_mm.clone(),
             axes: path.moments.clone(),
             sparse: is_sparse(path),
-            points: SolveCache::default(),
+            points: Kept::at_most(256),
             touches: Mutex::new(HashMap::new()),
             branches: BranchCache::new(path.lines.len()),
-            tables: Mutex::new(HashMap::new()),
-            slips: Mutex::new(HashMap::new()),
+            tables: Kept::at_most(65),
+            slips: Kept::at_most(9),
         })
     }
 
@@ -122,21 +123,11 @@ impl RodTables {
 
     /// Tables of every line under `rod_parameters`.
     pub fn tables(&self, rod_parameters: &RodParameters) -> Option<Arc<Vec<LineTable>>> {
-        let key = rod_parameters.key();
-        if let Some(found) = self.tables.lock().ok()?.get(&key) {
-            return Some(found.clone());
-        }
-        let rod = self.rod(rod_parameters)?;
-        let tables: Vec<LineTable> =
-            (0..self.lines.len()).into_par_iter().map(|l| self.tabulate(&rod, l, rod_parameters)).collect();
-        let tables = Arc::new(tables);
-        let mut kept = self.tables.lock().ok()?;
-        // Refits visit hundreds of parameter values; only a short memory is of use.
-        if kept.len() > 64 {
-            kept.clear();
-        }
-        kept.insert(key, tables.clone());
-        Some(tables)
+        self.tables.get(rod_parameters.key(), || {
+            let rod = self.rod(rod_parameters)?;
+            let lines = (0..self.lines.len()).into_par_iter();
+            Some(lines.map(|l| self.tabulate(&rod, l, rod_parameters)).collect())
+        })
     }
 
     fn tabulate(&self, rod: &Rod, l: usize, rod_parameters: &RodParameters) -> LineTable {
@@ -201,24 +192,11 @@ impl RodTables {
     }
 
     fn slip_tables(&self, rod_parameters: &RodParameters) -> Option<Arc<Vec<Option<SlipTable>>>> {
-        let key = rod_parameters.key();
-        if let Some(found) = self.slips.lock().ok()?.get(&key) {
-            return Some(found.clone());
-        }
-        let rod = self.rod(rod_parameters)?;
-        let tables = self.tables(rod_parameters)?;
-        let slips: Vec<Option<SlipTable>> = tables
-            .par_iter()
-            .enumerate()
-            .map(|(l, t)| self.tabulate_slip(&rod, l, rod_parameters, t))
-            .collect();
-        let slips = Arc::new(slips);
-        let mut kept = self.slips.lock().ok()?;
-        if kept.len() > 8 {
-            kept.clear();
-        }
-        kept.insert(key, slips.clone());
-        Some(slips)
+        self.slips.get(rod_parameters.key(), || {
+            let (rod, tables) = (self.rod(rod_parameters)?, self.tables(rod_parameters)?);
+            let lines = tables.par_iter().enumerate();
+            Some(lines.map(|(l, t)| self.tabulate_slip(&rod, l, rod_parameters, t)).collect())
+        })
     }
 
     /// Walks each slip branch outward from the frictionless one, ratio by ratio.

@@ -4,9 +4,9 @@ use super::system::WhiskerSystem;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, linear};
 use crate::method::min_p::f_test;
-use crate::method::noise::Estimated;
 use nalgebra::DMatrix;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
+use wcal_core::verify_document::NoisePart;
 
 /// Below this p-value the sensitivities of the seatings count as different.
 pub const SENSITIVITY_LEVEL: f64 = 0.01;
@@ -19,7 +19,7 @@ pub struct SeatingVariation {
     /// Standard deviation of the zeros, pm, per channel.
     pub zero_sd_pm: [f64; 2],
     /// The same over both channels with its 95 % interval, pm; the zeros' own errors are in it.
-    pub session: Estimated,
+    pub session: NoisePart,
     /// p-value of one K for all seatings against one K a seating (F test, every effect of the accepted model kept).
     pub sensitivity_p: f64,
     /// Root mean square of the seatings' changes of K over the norm of K.
@@ -74,11 +74,11 @@ pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVaria
 
 /// Both channels' standard deviations from `dof` degrees of freedom each as one, with the interval that chi-squared gives:
 /// `s sqrt(nu / chi2_(0.975, nu)) .. s sqrt(nu / chi2_(0.025, nu))`, `nu = 2 dof`. Two sessions say little: the interval shows it.
-fn pooled(sd: [f64; 2], dof: usize) -> Estimated {
+fn pooled(sd: [f64; 2], dof: usize) -> NoisePart {
     let value = (0.5 * (sd[0].powi(2) + sd[1].powi(2))).sqrt();
     let nu = 2.0 * dof as f64;
     let at = |p: f64| ChiSquared::new(nu).map_or(nu, |c| c.inverse_cdf(p));
-    Estimated { value, interval95: [0.975, 0.025].map(|p| value * (nu / at(p)).sqrt()) }
+    NoisePart { value, interval95: [0.975, 0.025].map(|p| value * (nu / at(p)).sqrt()) }
 }
 
 impl SeatingVariation {

@@ -41,7 +41,7 @@ impl WhiskerSystem {
             });
         }
         for a in &active {
-            a.effect.pictures(&a.values(), &mut seen);
+            (a.effect.pictures)(&a.values(), &mut seen);
         }
         Some(seen)
     }
@@ -66,11 +66,5 @@ impl WhiskerSystem {
     /// What a stated standard deviation of the pictures weighs, in the engine's channels.
     pub fn picture_scale(&self) -> f64 {
         self.picture_scale
-    }
-
-    /// The same readings without the pictures.
-    pub fn without_pictures(mut self) -> Self {
-        self.pictures = None;
-        self
     }
 }

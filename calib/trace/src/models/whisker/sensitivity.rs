@@ -8,10 +8,12 @@
 //! M. S. Bartlett, J. R. Stat. Soc. Suppl. 9 (1947) 176: test of the smallest canonical correlation.
 
 use super::system::WhiskerSystem;
+use super::twin_check::label_nmm;
 use crate::error::TraceError;
 use crate::method::linear::Basis;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
+use wcal_core::median::median;
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
 
 /// Fewest loaded readings from which a response can be told.
@@ -22,6 +24,7 @@ const RESPONSE_LEVEL: f64 = 1e-3;
 const CLIP: f64 = 8.0;
 /// Smallest share of a direction that is there at all: poses in one plane load one direction.
 const SAME_DIRECTION: f64 = 1e-3;
+
 /// Why the session's gratings cannot carry a calibration; none where they respond to the load in two directions.
 ///
 /// # Errors
@@ -49,12 +52,7 @@ pub(super) fn of_system(system: &WhiskerSystem) -> Option<String> {
 
 /// Moments of an outside twin at every reading, 0 at rest, N mm; none where it does not label all of them.
 fn labels(system: &WhiskerSystem) -> Option<Vec<[f64; 2]>> {
-    let of = |i: usize| {
-        let label = system.data.twin.iter().find(|l| l.point == system.row(i).point);
-        let rest = system.path.readings[i].rest;
-        label.map(|l| l.moment_nmm).or(rest.then_some([0.0; 2]))
-    };
-    (0..system.path.readings.len()).map(of).collect()
+    (0..system.path.readings.len()).map(|i| label_nmm(&system.data, system.row(i))).collect()
 }
 
 /// Shift of a grating as it was read, pm.
@@ -144,19 +142,11 @@ fn directions(columns: &[DVector<f64>]) -> Vec<DVector<f64>> {
     basis.vectors().to_vec()
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
-}
-
-/// 1.4826 times the median absolute deviation.
-fn robust_sd(values: &[f64]) -> f64 {
-    let centre = median(values.to_vec());
-    1.4826 * median(values.iter().map(|v| (v - centre).abs()).collect())
-}
-
 fn clipped(values: Vec<f64>) -> Vec<f64> {
-    let (centre, reach) = (median(values.clone()), CLIP * robust_sd(&values));
+    let centre = median(values.iter().copied()).unwrap_or(0.0);
+    // 1.4826 times the median absolute deviation.
+    let sd = 1.4826 * median(values.iter().map(|v| (v - centre).abs())).unwrap_or(0.0);
+    let reach = CLIP * sd;
     if reach > 0.0 {
         values.into_iter().map(|v| v.clamp(centre - reach, centre + reach)).collect()
     } else {

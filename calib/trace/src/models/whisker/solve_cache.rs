@@ -4,19 +4,9 @@ use crate::whisker::path::Node;
 use crate::whisker::rod_parameters::RodParameters;
 use crate::whisker::rod_tables::RodTables;
 use rayon::prelude::*;
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use wcal_rod::{Equilibrium, Rod};
 
-/// Equilibria at the nodes of one path; none where the wire is free.
-pub(crate) type Contacts = Arc<Vec<Option<Equilibrium>>>;
-
-/// Equilibria by stage positions and wire.
-#[derive(Default)]
-pub(crate) struct SolveCache(Mutex<HashMap<Vec<u64>, Contacts>>);
-
-/// Sets of stage positions and wires whose moments are kept.
-const SOLVED_SETS: usize = 256;
 /// Largest gap between the equilibria of a continued branch, mm.
 const MAX_GAP_MM: f64 = 2.0;
 
@@ -36,42 +26,31 @@ pub(crate) fn positions(nodes: &[Node], xs_mm: &[f64], lines: usize) -> Vec<Vec<
 }
 
 impl RodTables {
-    /// Frictionless equilibria at the nodes, each solved for; none where the branch ends before one of them.
+    /// Frictionless equilibria at the nodes, each solved for, none at a node where the wire is free; none where the branch ends before one
+    /// of them.
     pub(crate) fn solved_contacts(
         &self,
         nodes: &[Node],
         xs_mm: &[f64],
         rod_parameters: &RodParameters,
-    ) -> Option<Contacts> {
+    ) -> Option<Arc<Vec<Option<Equilibrium>>>> {
         let mut key = rod_parameters.key();
         for (node, x) in nodes.iter().zip(xs_mm) {
             let line = node.line.filter(|_| !node.rest).map_or(u64::MAX, |l| l as u64);
             key.extend([x.to_bits(), line]);
         }
-        if let Some(found) = self.points.0.lock().ok()?.get(&key) {
-            return Some(found.clone());
-        }
-        let rod = self.rod(rod_parameters)?;
-        let wanted = positions(nodes, xs_mm, self.lines.len());
-        let solved: Vec<Vec<Option<Equilibrium>>> = wanted
-            .par_iter()
-            .enumerate()
-            .map(|(l, xs)| self.solve_line(&rod, l, rod_parameters, xs))
-            .collect::<Option<_>>()?;
-        let mut out = Vec::with_capacity(nodes.len());
-        for (node, x) in nodes.iter().zip(xs_mm) {
-            out.push(match node.line.filter(|_| !node.rest) {
-                Some(l) => solved[l][wanted[l].binary_search_by(|w| w.total_cmp(x)).ok()?],
-                None => None,
-            });
-        }
-        let out = Arc::new(out);
-        let mut kept = self.points.0.lock().ok()?;
-        if kept.len() >= SOLVED_SETS {
-            kept.clear();
-        }
-        kept.insert(key, out.clone());
-        Some(out)
+        self.points.get(key, || {
+            let rod = self.rod(rod_parameters)?;
+            let wanted = positions(nodes, xs_mm, self.lines.len());
+            let lines = wanted.par_iter().enumerate();
+            let solved: Vec<Vec<Option<Equilibrium>>> =
+                lines.map(|(l, xs)| self.solve_line(&rod, l, rod_parameters, xs)).collect::<Option<_>>()?;
+            let at = |(node, x): (&Node, &f64)| match node.line.filter(|_| !node.rest) {
+                Some(l) => Some(solved[l][wanted[l].binary_search_by(|w| w.total_cmp(x)).ok()?]),
+                None => Some(None),
+            };
+            nodes.iter().zip(xs_mm).map(at).collect()
+        })
     }
 
     /// Frictionless moments at the nodes, N mm, each solved for; none where the branch ends before one of them.

@@ -6,7 +6,6 @@ use super::uncertainty::VALUE_STEP;
 use super::whisker_effect::{ActiveEffect, Memory};
 use crate::whisker::path::{Columns, Node, Reading, WhiskerPath};
 use nalgebra::{DMatrix, Matrix2};
-use wcal_core::MomentAxes;
 use wcal_core::stream::{MomentSpread, MomentStream, StreamMoments};
 
 /// The effects at one set of values, with what they remember.
@@ -17,7 +16,7 @@ struct EffectMemories {
 
 impl EffectMemories {
     fn new(terms: Vec<ActiveEffect>) -> Self {
-        let memories = terms.iter().filter_map(|a| a.effect.memory(&a.values())).collect();
+        let memories = terms.iter().filter_map(ActiveEffect::memory).collect();
         Self { terms, memories }
     }
 
@@ -77,36 +76,12 @@ impl PhysicalStream {
             (place, step, [at(place, -step), at(place, step)])
         });
         let moved = moved.collect();
-        let reading = Reading {
-            line: None,
-            x_mm: 0.0,
-            rest: false,
-            direction: 0.0,
-            velocity_mm_s: 0.0,
-            t_s: 0.0,
-            dwell_s: 0.0,
-            stays_s: 0.0,
-            rise_degc: 0.0,
-            temperature_loo_degc: 0.0,
-            shift_pm: [0.0; 2],
-            sample_sd_pm: [0.0; 2],
-            samples: None,
-            unsteady: false,
-            group: 0,
-            replicate: 0,
-            holdout: false,
-            seating: model.seatings.saturating_sub(1),
-        };
-        let node = Node { t_s: 0.0, line: None, x_mm: 0.0, rest: false, moving: false, reading: Some(0) };
         let now = WhiskerPath {
-            readings: vec![reading],
+            readings: vec![Reading { seating: model.seatings.saturating_sub(1), ..Reading::default() }],
             rows: vec![0],
-            nodes: vec![node],
-            lines: Vec::new(),
-            reach_mm: Vec::new(),
-            start_mm: Vec::new(),
-            moments: MomentAxes::default(),
+            nodes: vec![Node { reading: Some(0), ..Node::default() }],
             columns: Columns { time: true, temperature: true, ..Columns::default() },
+            ..WhiskerPath::default()
         };
         let factor = factor(&model).0;
         let gradient = DMatrix::zeros(2, model.covariance.len());
@@ -163,6 +138,7 @@ impl MomentStream for PhysicalStream {
 mod tests {
     use super::*;
     use crate::whisker::physical::{AcceptedEffect, Inferred};
+    use wcal_core::MomentAxes;
     use wcal_core::{FbgSpec, Role, WhiskerRow};
 
     fn effect(id: &str, law: &str, values: &[f64]) -> AcceptedEffect {

@@ -3,11 +3,11 @@
 use super::covariates::covariates;
 use super::pictures::Pictures;
 use super::stage_clock::CLOCK_SD_S;
-use super::whisker_effect::{ActiveEffect, Observers, WhiskerEffect};
+use super::whisker_effect::{ActiveEffect, Observers};
 use crate::effect::{Effect, EffectTerm, LawRequirement};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, Weights};
-use crate::whisker::effects;
+use crate::whisker::effects::whisker_catalogue;
 use crate::whisker::path::{Node, WhiskerPath, averaged_readings, temperature_walk};
 use crate::whisker::rod_parameters::RodParameters;
 use crate::whisker::rod_tables::RodTables;
@@ -28,10 +28,8 @@ pub struct WhiskerSystem {
     pub path: WhiskerPath,
     /// The rod's tables.
     pub rod_tables: Arc<RodTables>,
-    effects: Vec<Arc<dyn WhiskerEffect>>,
-    catalogue: Vec<Arc<dyn Effect>>,
+    catalogue: Arc<[Effect]>,
     measured: DMatrix<f64>,
-    known: DMatrix<f64>,
     groups: Vec<u32>,
     rows: Arc<Vec<WhiskerRow>>,
     sealed: Vec<bool>,
@@ -58,6 +56,12 @@ fn fluid_kg_m3(medium: &str) -> f64 {
 
 fn owned(rows: &[&WhiskerRow]) -> Arc<Vec<WhiskerRow>> {
     Arc::new(rows.iter().map(|r| (*r).clone()).collect())
+}
+
+/// The readings in the channels of a mixture, which is never singular: a unit matrix with one direction stretched.
+fn measured_in(path: &WhiskerPath, whitening: &Matrix2<f64>) -> DMatrix<f64> {
+    let shifts = DMatrix::from_fn(path.readings.len(), 2, |i, c| path.readings[i].shift_pm[c]);
+    shifts * dynamic(&whitening.try_inverse().unwrap_or_else(Matrix2::identity))
 }
 
 fn dynamic(m: &Matrix2<f64>) -> DMatrix<f64> {
@@ -112,19 +116,13 @@ impl WhiskerSystem {
         rod_tables: Arc<RodTables>,
         whitening: Matrix2<f64>,
     ) -> Self {
-        let effects = effects::whisker_catalogue();
-        let catalogue = effects.iter().map(|e| e.clone() as Arc<dyn Effect>).collect();
-        let n = path.readings.len();
-        let shifts = DMatrix::from_fn(n, 2, |i, c| path.readings[i].shift_pm[c]);
         Self {
             pictures: None,
             picture_scale: 1.0,
             stage_clock_s: 0.0,
             refuted: Arc::default(),
-            // Never singular: a unit matrix with one direction stretched.
-            measured: shifts * dynamic(&whitening.try_inverse().unwrap_or_else(Matrix2::identity)),
+            measured: measured_in(&path, &whitening),
             whitening,
-            known: DMatrix::from_fn(n, 2, |i, c| path.readings[i].sample_sd_pm[c]),
             groups: path.readings.iter().map(|r| r.group).collect(),
             // Unsealed rows stand behind those of the points table.
             sealed: path.rows.iter().map(|row| *row >= data.rows.len()).collect(),
@@ -135,14 +133,14 @@ impl WhiskerSystem {
             walk,
             path,
             rod_tables,
-            effects,
-            catalogue,
+            catalogue: whisker_catalogue().iter().map(|e| e.effect.clone()).collect(),
         }
     }
 
     /// The effects of `terms` with their values by name.
     pub(super) fn active(&self, terms: &[EffectTerm]) -> Vec<ActiveEffect> {
-        terms.iter().map(|t| ActiveEffect::new(self.effects[t.effect].clone(), t.clone())).collect()
+        let catalogue = whisker_catalogue();
+        terms.iter().map(|t| ActiveEffect { effect: &catalogue[t.effect], term: t.clone() }).collect()
     }
 
     /// Why the session does not give what a law needs; none where it does.
@@ -155,9 +153,6 @@ impl WhiskerSystem {
             }
             LawRequirement::Temperature => (!has.temperature).then_some("the session has no temperature"),
             LawRequirement::Motion => (!has.speeds).then_some("no reading was taken while the stage moved"),
-            LawRequirement::MovingBase => {
-                Some("the base does not move on the stage, so the fluid does not drag on it")
-            }
             LawRequirement::Weight if !has.gravity => {
                 Some("the session does not give the direction of gravity")
             }
@@ -197,12 +192,11 @@ impl WhiskerSystem {
         let mut xs: Vec<f64> = self.path.nodes.iter().map(stamped).collect();
         let mut rod_parameters = RodParameters::default();
         // In the order of the catalogue, which is that of the signal: the reading lags behind a groove that lags behind the screw.
-        let mut acting: Vec<&ActiveEffect> =
-            active.iter().filter(|a| a.effect.observers() != unseen).collect();
-        acting.sort_by_key(|a| a.place());
+        let mut acting: Vec<&ActiveEffect> = active.iter().filter(|a| a.effect.observers != unseen).collect();
+        acting.sort_by_key(|a| a.term.effect);
         for a in acting {
-            a.effect.pose(&a.values(), &self.path, &mut xs);
-            a.effect.rod(&a.values(), &mut rod_parameters);
+            (a.effect.pose)(&a.values(), &self.path, &mut xs);
+            (a.effect.rod)(&a.values(), &mut rod_parameters);
         }
         (xs, rod_parameters)
     }
@@ -215,7 +209,7 @@ impl WhiskerSystem {
         let base = self.rod_tables.moments(&path.nodes, &xs, &rod_parameters)?;
         let mut sensed = base.clone();
         for a in &active {
-            a.effect.sensor(&a.values(), path, &mut sensed);
+            a.sensor(path, &mut sensed);
         }
         let pick = |all: &[[f64; 2]]| -> Vec<[f64; 2]> {
             path.nodes.iter().zip(all).filter(|(n, _)| n.reading.is_some()).map(|(_, m)| *m).collect()
@@ -235,10 +229,7 @@ impl WhiskerSystem {
 
     /// The same readings in other channels.
     fn in_channels(self, whitening: Matrix2<f64>) -> Self {
-        let (pictures, picture_scale, stage_clock_s, refuted) =
-            (self.pictures, self.picture_scale, self.stage_clock_s, self.refuted);
-        let same = Self::assemble(&self.data, self.path, self.rows, self.walk, self.rod_tables, whitening);
-        Self { pictures, picture_scale, stage_clock_s, refuted, ..same }
+        Self { measured: measured_in(&self.path, &whitening), whitening, ..self }
     }
 
     /// The same readings with the stage's clock set by `stage_clock_s`.
@@ -309,11 +300,6 @@ impl WhiskerSystem {
     pub fn held_out(&self) -> [&[bool]; 2] {
         [&self.sealed, &self.scored]
     }
-
-    /// The effects with their hooks.
-    pub fn effects(&self) -> &[Arc<dyn WhiskerEffect>] {
-        &self.effects
-    }
 }
 
 impl MeasurementModel for WhiskerSystem {
@@ -327,15 +313,7 @@ impl MeasurementModel for WhiskerSystem {
 
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
         let (sensed, _) = self.moments(terms)?;
-        let mut columns = vec![
-            vec![1.0; sensed.len()],
-            sensed.iter().map(|m| m[0]).collect(),
-            sensed.iter().map(|m| m[1]).collect(),
-        ];
-        columns.extend(self.path.seating_columns(self.seatings));
-        for a in self.active(terms) {
-            a.effect.columns(&a.values(), &self.path, &sensed, &mut columns);
-        }
+        let columns = self.path.readout_columns(self.seatings, &self.active(terms), &sensed);
         let design = DMatrix::from_fn(sensed.len(), columns.len(), |i, j| columns[j][i]);
         design.iter().all(|v| v.is_finite()).then_some(design)
     }
@@ -355,16 +333,16 @@ impl MeasurementModel for WhiskerSystem {
         self.picture_scale.powi(2)
     }
 
-    fn catalogue(&self) -> &[Arc<dyn Effect>] {
+    fn catalogue(&self) -> &[Effect] {
         &self.catalogue
     }
 
     fn not_observable(&self, effect: usize) -> Option<String> {
-        let effect = &self.effects[effect];
-        if self.refuted.iter().any(|id| id == effect.id()) {
+        let effect = &self.catalogue[effect];
+        if self.refuted.iter().any(|id| id == effect.id) {
             return Some("another measurement of this whisker refutes it".to_owned());
         }
-        effect.needs().into_iter().find_map(|need| self.unmet(need)).map(str::to_owned)
+        effect.needs().iter().find_map(|need| self.unmet(*need)).map(str::to_owned)
     }
 
     fn groups(&self) -> &[u32] {
@@ -380,12 +358,9 @@ impl MeasurementModel for WhiskerSystem {
     }
 
     fn shared_sd(&self, effect: usize, parameter: &str) -> f64 {
-        let stamped = self.effects[effect].needs().contains(&LawRequirement::Motion) && parameter == "lag_s";
+        let stamped =
+            self.catalogue[effect].needs().contains(&LawRequirement::Motion) && parameter == "lag_s";
         if stamped && self.is_read_in_motion() { CLOCK_SD_S } else { 0.0 }
-    }
-
-    fn known_noise(&self) -> &DMatrix<f64> {
-        &self.known
     }
 
     fn noise_inputs(&self) -> crate::method::noise::NoiseInputs {

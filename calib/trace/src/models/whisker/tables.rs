@@ -40,13 +40,7 @@ impl LineTable {
             return None;
         }
         let (j, w) = bracket((x_mm - self.touch_mm) / self.step_mm, self.moments_nmm.len());
-        let mut m = [0.0; 2];
-        for (k, weight) in w.iter().enumerate() {
-            for (c, component) in m.iter_mut().enumerate() {
-                *component += weight * self.moments_nmm[j + k][c];
-            }
-        }
-        Some(m)
+        Some([0, 1].map(|c| (0..4).map(|k| w[k] * self.moments_nmm[j + k][c]).sum()))
     }
 
     /// Contact arc length at stage position `x_mm`, mm.
@@ -95,29 +89,26 @@ pub(crate) const MAX_RATIO: f64 = 0.72;
 pub(crate) const RATIO_STEPS: usize = 4;
 
 impl SlipTable {
-    fn at<T>(&self, x_mm: f64, pick: impl Fn(usize, usize) -> T, ratio: f64, zero: T) -> T
-    where
-        T: std::ops::Add<Output = T> + std::ops::Mul<f64, Output = T> + Copy,
-    {
+    fn at(&self, x_mm: f64, pick: impl Fn(usize, usize) -> f64, ratio: f64) -> f64 {
         let x = (x_mm - self.touch_mm).max(0.0) / self.step_mm;
         let (j, w) = bracket(x, self.rows.len());
         let dr = self.ratios[1] - self.ratios[0];
         let (k, v) = bracket((ratio - self.ratios[0]) / dr, self.ratios.len());
-        let mut sum = zero;
+        let mut sum = 0.0;
         for (a, wa) in w.iter().enumerate() {
             for (b, vb) in v.iter().enumerate() {
-                sum = sum + pick(j + a, k + b) * (wa * vb);
+                sum += pick(j + a, k + b) * (wa * vb);
             }
         }
         sum
     }
 
     pub(crate) fn arclength(&self, x_mm: f64, ratio: f64) -> f64 {
-        self.at(x_mm, |i, k| self.rows[i].arclength_mm[k], ratio, 0.0)
+        self.at(x_mm, |i, k| self.rows[i].arclength_mm[k], ratio)
     }
 
     pub(crate) fn moment(&self, x_mm: f64, ratio: f64) -> [f64; 2] {
-        [0, 1].map(|c| self.at(x_mm, |i, k| self.rows[i].moments_nmm[k][c], ratio, 0.0))
+        [0, 1].map(|c| self.at(x_mm, |i, k| self.rows[i].moments_nmm[k][c], ratio))
     }
 
     /// Whether there is an equilibrium with this ratio: at both neighbours in the table.

@@ -4,6 +4,8 @@
 //! temperature that they are compared with: an error in variables, not an effect. Local level model and fixed-interval smoother: Harvey,
 //! "Forecasting, Structural Time Series Models and the Kalman Filter" (1989), ch. 4; the ratio of variances by maximum likelihood.
 
+use wcal_core::median::median;
+
 /// Fewest readings that tell a walk from noise.
 const MIN_READINGS: usize = 12;
 
@@ -43,9 +45,7 @@ impl RandomWalkModel {
     /// The walk of `values` at times `t_s` (s, rising), `variances` those of their noise, 1 for a typical one; none where they are too few
     /// or do not scatter.
     pub fn of(t_s: &[f64], values: &[f64], variances: &[f64]) -> Option<Self> {
-        let mut steps = steps_s(t_s);
-        steps.sort_by(f64::total_cmp);
-        let typical = steps.get(steps.len() / 2).copied().filter(|s| *s > 0.0)?;
+        let typical = median(steps_s(t_s)).filter(|s| *s > 0.0)?;
         if values.len() < MIN_READINGS {
             return None;
         }

@@ -6,7 +6,8 @@
 use crate::whisker::path::WhiskerPath;
 use crate::whisker::rod_tables::RodTables;
 use nalgebra::{DMatrix, DVector};
-use wcal_core::observation::WhiskerData;
+use wcal_core::median::median;
+use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
 use wcal_core::verify_document::TwinFault;
 
 /// The rod and the label at one pose.
@@ -35,8 +36,6 @@ pub struct LabelReport {
     pub checks: Vec<LabelCheck>,
     /// Faults by kind.
     pub faults: Vec<TwinFault>,
-    /// Median of |label| / |rod| over good labels; 1 where both agree.
-    pub median_ratio: f64,
 }
 
 /// A label this many robust standard deviations off is another equilibrium.
@@ -72,16 +71,15 @@ pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTabl
     let loaded: Vec<usize> =
         (0..checks.len()).filter(|&i| checks[i].rod_nmm.is_some_and(|m| m[0].hypot(m[1]) > 1e-6)).collect();
     if loaded.len() < 8 {
-        return LabelReport { checks, faults: Vec::new(), median_ratio: 1.0 };
+        return LabelReport { checks, faults: Vec::new() };
     }
     deviations(&mut checks, &loaded);
-    let mut ratios: Vec<f64> = loaded
+    // Over good labels; 1 where both agree.
+    let ratios = loaded
         .iter()
         .filter(|&&i| checks[i].deviation < BRANCH_DEVIATION)
-        .filter_map(|&i| checks[i].rod_nmm.map(|m| size(checks[i].label_nmm) / size(m)))
-        .collect();
-    ratios.sort_by(f64::total_cmp);
-    let median_ratio = ratios.get(ratios.len() / 2).copied().unwrap_or(1.0);
+        .filter_map(|&i| checks[i].rod_nmm.map(|m| size(checks[i].label_nmm) / size(m)));
+    let median_ratio = median(ratios).unwrap_or(1.0);
     let unit = !(1.0 / UNIT_RATIO..UNIT_RATIO).contains(&median_ratio);
     for &i in &loaded {
         let Some(rod) = checks[i].rod_nmm else { continue };
@@ -101,7 +99,7 @@ pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTabl
         c.fault = Some("branch");
     }
     let faults = collect(&checks, median_ratio);
-    LabelReport { checks, faults, median_ratio }
+    LabelReport { checks, faults }
 }
 
 fn size(m: [f64; 2]) -> f64 {
@@ -131,10 +129,8 @@ fn deviations(checks: &mut [LabelCheck], loaded: &[usize]) {
             let target = y.component_mul(&weights);
             let Ok(b) = weighted.svd(true, true).solve(&target, 1e-9) else { return };
             residual = &y - &design * b;
-            let mut sorted: Vec<f64> = residual.iter().map(|v| v.abs()).collect();
-            sorted.sort_by(f64::total_cmp);
             // 1.4826 MAD; labels are printed to 1e-6 N mm, so the floor keeps perfect agreement finite.
-            scale = (1.4826 * sorted[rows / 2]).max(2e-3);
+            scale = (1.4826 * median(residual.iter().map(|v| v.abs())).unwrap_or(0.0)).max(2e-3);
             for r in 0..rows {
                 // Cauchy weights (square roots): far labels lose all pull.
                 weights[r] = (1.0 / (1.0 + (residual[r] / (2.0 * scale)).powi(2))).sqrt();
@@ -164,6 +160,12 @@ fn collect(checks: &[LabelCheck], ratio: f64) -> Vec<TwinFault> {
             (!points.is_empty()).then(|| TwinFault { points, kind: kind.to_owned(), detail })
         })
         .collect()
+}
+
+/// The outside twin's label of a reading, N mm; zero at rest where it has none, for nothing bends the wire there.
+pub fn label_nmm(data: &WhiskerData, row: &WhiskerRow) -> Option<[f64; 2]> {
+    let label = data.twin.iter().find(|t| t.point == row.point).map(|t| t.moment_nmm);
+    label.or((row.role == Role::Rest).then_some([0.0; 2]))
 }
 
 /// Moments at the readings of `path` with the outside labels as they are: none where a reading has no label.

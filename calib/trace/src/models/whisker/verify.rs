@@ -1,13 +1,15 @@
 //! `verify` for kind "whisker": admission of the data, the procedure, and what reports and calibration need of it.
 
 use super::physical::PhysicalModel;
-use super::residual_tables::{Branch, PredictionRow, branches, prediction_rows};
+use super::predictions::Predictions;
+use super::residual_tables::{Branch, branches};
 use super::sensitivity;
 use super::system::WhiskerSystem;
 use super::twin_check::{LabelReport, check_labels};
 use crate::error::TraceError;
 use crate::method::explain::noise_for_predictions;
 use crate::method::hypothesis::SearchResult;
+use crate::scalar::admission::clock_fault;
 use crate::verify::sealed_in_fit::sealed_in_fit;
 use crate::verify::{Verification, VerifyOptions, verify};
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
@@ -18,8 +20,8 @@ use wcal_core::{InputFile, ResidualRecord, Unsealing};
 pub struct WhiskerVerification {
     /// verify.json.
     pub document: VerifyDocument,
-    /// predictions.csv.
-    pub predictions: Vec<PredictionRow>,
+    /// Every reading of `whole` under the declared and the accepted model.
+    pub predictions: [Predictions; 2],
     /// Residual records of every reading and channel.
     pub residuals: Vec<ResidualRecord>,
     /// Twin check.
@@ -57,14 +59,8 @@ fn unusable(data: &WhiskerData) -> Option<String> {
             "The session has {loaded} loaded readings; K, the zero and a residual need at least {MIN_LOADED}."
         ));
     }
-    let times: Vec<f64> = data.rows.iter().filter_map(|r| r.t_s).collect();
-    if let Some(k) = times.windows(2).position(|w| w[1] < w[0]) {
-        return Some(format!(
-            "The clock runs backwards after reading {} (t_s {} follows {}).",
-            k + 1,
-            times[k + 1],
-            times[k]
-        ));
+    if let Some(why) = clock_fault(data.rows.iter().map(|r| r.t_s)) {
+        return Some(format!("The data cannot be used: {why}."));
     }
     let timed = |r: &WhiskerRow| Some([&[r.t_s?, r.stage_mm?], &r.shift_pm[..]].concat());
     let fitted = || data.rows.iter().filter(|r| r.role != Role::Rest).map(timed);
@@ -103,7 +99,6 @@ pub fn verify_whisker(
     document.inputs = inputs.to_vec();
     Ok(Verified::Done(Box::new(WhiskerVerification {
         document,
-        predictions: prediction_rows(&whole, &unsealed.before.readings, &unsealed.after.readings),
         residuals: v.residuals,
         labels: check_labels(data, &system.path, &system.rod_tables),
         model: {
@@ -116,6 +111,7 @@ pub fn verify_whisker(
             )
         },
         further: v.errors.further,
+        predictions: [unsealed.before, unsealed.after],
         branches: branches(&system),
         found: explained.found,
         unsealing: v.unsealing,

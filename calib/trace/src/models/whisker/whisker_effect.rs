@@ -3,8 +3,7 @@
 use super::path::WhiskerPath;
 use super::pictures::PairObservation;
 use super::rod_parameters::RodParameters;
-use crate::effect::{Effect, EffectModel, EffectTerm, LawRequirement, Values};
-use std::sync::Arc;
+use crate::effect::{Effect, EffectModel, EffectTerm, Values};
 
 /// A sensor whose answer depends on what came before.
 pub trait Memory: Send {
@@ -25,23 +24,73 @@ pub enum Observers {
     Cameras,
 }
 
-/// Where an effect of the whisker acts; every hook does nothing by default.
-pub trait WhiskerEffect: Effect {
+/// An effect with where it acts.
+pub struct WhiskerEffect {
+    /// Name and laws.
+    pub effect: Effect,
     /// Who sees the poses that it changes: the gratings, the cameras, or both.
-    fn observers(&self) -> Observers {
-        Observers::Both
-    }
+    pub observers: Observers,
     /// Changes the effective stage position of every node, mm.
-    fn pose(&self, _values: &Values, _path: &WhiskerPath, _xs_mm: &mut [f64]) {}
+    pub pose: fn(&Values, &WhiskerPath, &mut [f64]),
     /// Changes the mechanics of wire, root and groove.
-    fn rod(&self, _values: &Values, _rod: &mut RodParameters) {}
+    pub rod: fn(&Values, &mut RodParameters),
     /// What the gratings sense of moments that come one after the other; none where they sense them as they are.
-    fn memory(&self, _values: &Values) -> Option<Box<dyn Memory>> {
-        None
+    pub memory: Option<fn(&Values) -> Box<dyn Memory>>,
+    /// Changes what pairs of pictures show: faults of the cameras' setup.
+    pub pictures: fn(&Values, &mut [PairObservation]),
+    /// Readout columns (one value a reading) whose coefficients are free in each channel, from the sensed moments, N mm.
+    pub columns: fn(&Values, &WhiskerPath, &[[f64; 2]]) -> Vec<Vec<f64>>,
+}
+
+impl WhiskerEffect {
+    /// An effect without memory that acts nowhere yet.
+    pub fn new(id: &'static str, sentence: &'static str, laws: Vec<EffectModel>) -> Self {
+        Effect::new(id, sentence, laws).into()
     }
+}
+
+impl From<Effect> for WhiskerEffect {
+    /// An effect that acts nowhere yet.
+    fn from(effect: Effect) -> Self {
+        Self {
+            effect,
+            observers: Observers::Both,
+            pose: |_, _, _| {},
+            rod: |_, _| {},
+            memory: None,
+            pictures: |_, _| {},
+            columns: |_, _, _| Vec::new(),
+        }
+    }
+}
+
+/// An effect that acts: its law and values.
+pub struct ActiveEffect {
+    /// The effect.
+    pub effect: &'static WhiskerEffect,
+    /// Its place in the catalogue, law and values.
+    pub term: EffectTerm,
+}
+
+impl ActiveEffect {
+    /// Its law.
+    pub fn law(&self) -> &'static EffectModel {
+        self.effect.effect.law(self.term.law)
+    }
+
+    /// Values of its parameters, by name.
+    pub fn values(&self) -> Values<'_> {
+        Values::new(self.law(), self.term.law, &self.term.values)
+    }
+
+    /// What the gratings sense of moments, where the effect makes that depend on those before.
+    pub fn memory(&self) -> Option<Box<dyn Memory>> {
+        self.effect.memory.map(|memory| memory(&self.values()))
+    }
+
     /// Changes the moments that the gratings sense at every node, N mm.
-    fn sensor(&self, values: &Values, path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
-        let Some(mut memory) = self.memory(values) else { return };
+    pub fn sensor(&self, path: &WhiskerPath, moments_nmm: &mut [[f64; 2]]) {
+        let Some(mut memory) = self.memory() else { return };
         let mut last_s = None;
         for (m, node) in moments_nmm.iter_mut().zip(&path.nodes) {
             let dt_s = last_s.map(|last| node.t_s - last);
@@ -50,56 +99,5 @@ pub trait WhiskerEffect: Effect {
             memory.accept(dt_s, *m);
             *m = sensed;
         }
-    }
-    /// Changes what pairs of pictures show: faults of the cameras' setup.
-    fn pictures(&self, _values: &Values, _seen: &mut [PairObservation]) {}
-    /// Appends readout columns (one value a reading) whose coefficients are free in each channel.
-    fn columns(
-        &self,
-        _values: &Values,
-        _path: &WhiskerPath,
-        _moments_nmm: &[[f64; 2]],
-        _out: &mut Vec<Vec<f64>>,
-    ) {
-    }
-}
-
-/// An effect that acts: its law and values.
-pub struct ActiveEffect {
-    /// The effect.
-    pub effect: Arc<dyn WhiskerEffect>,
-    law: EffectModel,
-    term: EffectTerm,
-}
-
-impl ActiveEffect {
-    /// `term` of a catalogue's effect.
-    pub fn new(effect: Arc<dyn WhiskerEffect>, term: EffectTerm) -> Self {
-        Self { law: effect.law(term.law), effect, term }
-    }
-
-    /// What its law needs of a session.
-    pub fn needs(&self) -> &[LawRequirement] {
-        &self.law.needs
-    }
-
-    /// Its place in the catalogue.
-    pub fn place(&self) -> usize {
-        self.term.effect
-    }
-
-    /// Its place in the catalogue, law and values.
-    pub fn into_term(self) -> EffectTerm {
-        self.term
-    }
-
-    /// Physical ranges of its values.
-    pub fn ranges(&self) -> impl Iterator<Item = [f64; 2]> {
-        self.law.parameters.iter().map(|p| p.range)
-    }
-
-    /// Values of its parameters, by name.
-    pub fn values(&self) -> Values<'_> {
-        Values::new(&self.law, self.term.law, &self.term.values)
     }
 }

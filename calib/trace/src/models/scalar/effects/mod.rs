@@ -1,31 +1,16 @@
-//! The catalogue of the scalar kinds: one file an effect.
+//! The catalogue of the scalar kinds: an effect is a function, in the file of what it acts on.
 //!
 //! Parameters are in half ranges of the stimulus, durations of the session and cycles over the range, so that grids and ranges hold for
 //! any unit; `scalar::parameters` turns them into the session's units.
 
-mod backlash;
-mod creep;
-mod cross_axis;
-mod dead_zone;
-mod drift;
 mod error_table;
-mod heteroscedastic_noise;
-mod hysteresis;
-mod lag;
 mod memory;
-mod nonlinearity_cubic;
-mod nonlinearity_quadratic;
-mod outliers;
 mod periodic;
-mod saturation;
-mod scale;
-mod step;
-mod temperature;
+mod response;
+mod stimulus;
 
 use super::frame::Frame;
 use super::scalar_effect::ScalarEffect;
-use crate::effect::{EffectModel, Parameter, Role};
-use std::sync::Arc;
 
 /// Identifier of the effect on the spread of the noise, found by `scalar::spread_test`.
 pub const HETEROSCEDASTIC_NOISE: &str = "heteroscedastic-noise";
@@ -35,40 +20,24 @@ pub const ERROR_TABLE: &str = "error-table";
 pub const PERIODIC: &str = "periodic";
 
 /// Every effect of docs/src/formats.md for kinds "transducer" and "axis".
-pub fn scalar_catalogue(frame: &Frame, covariate_names: &[String]) -> Vec<Arc<dyn ScalarEffect>> {
+pub fn scalar_catalogue(frame: &Frame, covariates: usize) -> Vec<ScalarEffect> {
     vec![
-        Arc::new(scale::Scale { sloped: frame.sloped() }),
-        Arc::new(nonlinearity_quadratic::NonlinearityQuadratic),
-        Arc::new(nonlinearity_cubic::NonlinearityCubic),
-        Arc::new(saturation::Saturation),
-        Arc::new(dead_zone::DeadZone),
-        Arc::new(periodic::Periodic),
-        Arc::new(drift::Drift),
-        Arc::new(creep::Creep),
-        Arc::new(hysteresis::Hysteresis { declared: frame.declared }),
-        Arc::new(backlash::Backlash { declared: frame.declared }),
-        Arc::new(temperature::Temperature),
-        Arc::new(lag::Lag),
-        Arc::new(step::Step),
-        Arc::new(outliers::Outliers),
-        Arc::new(heteroscedastic_noise::HeteroscedasticNoise),
-        Arc::new(cross_axis::CrossAxis { count: covariate_names.len() }),
-        Arc::new(error_table::ErrorTable { places: frame.places() }),
+        stimulus::scale(frame.sloped()),
+        response::nonlinearity_quadratic(),
+        response::nonlinearity_cubic(),
+        stimulus::saturation(),
+        stimulus::dead_zone(),
+        periodic::periodic(),
+        response::drift(),
+        stimulus::creep(),
+        stimulus::hysteresis(frame.declared),
+        stimulus::backlash(frame.declared),
+        response::temperature(),
+        stimulus::lag(),
+        response::step(),
+        response::outliers(),
+        response::heteroscedastic_noise(),
+        response::cross_axis(covariates),
+        error_table::error_table(&frame.places()),
     ]
-}
-
-fn law(
-    name: &'static str,
-    parameters: Vec<Parameter>,
-    linear: &[(&'static str, &'static str)],
-) -> EffectModel {
-    EffectModel { name, parameters, linear: linear.to_vec(), largest_share: None, needs: Vec::new() }
-}
-
-fn amplitude(name: &'static str, unit: &'static str, range: [f64; 2], probe: f64) -> Parameter {
-    Parameter { name, unit, range, role: Role::Amplitude { probe } }
-}
-
-fn shape(name: &'static str, unit: &'static str, range: [f64; 2], grid: &'static [f64]) -> Parameter {
-    Parameter { name, unit, range, role: Role::Shape { grid } }
 }

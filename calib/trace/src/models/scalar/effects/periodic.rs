@@ -1,12 +1,9 @@
 //! Periodic effect: sine and cosine over stimulus, time or order, with a free frequency.
 
-use super::{PERIODIC, law, shape};
-use crate::effect::{Effect, EffectModel, LawRequirement, Values};
-use crate::scalar::ScalarEffect;
+use super::PERIODIC;
+use crate::effect::{Effect, LawRequirement, law};
 use crate::scalar::frame::{Frame, correlation};
-
-/// See the module.
-pub struct Periodic;
+use crate::scalar::scalar_effect::ScalarEffect;
 
 /// Half cycles: neighbouring frequencies are then still half in step, and the fit slides to the best between them.
 const GRID: [f64; 197] = {
@@ -25,30 +22,47 @@ const MIN_CYCLES: f64 = 2.0;
 /// Cycles of bends that never repeat, so near each other that one of them follows any bend to a tenth of its size.
 const SQUIGGLES: [f64; 14] = [0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.85];
 
-impl Effect for Periodic {
-    fn id(&self) -> &'static str {
-        PERIODIC
-    }
-    fn laws(&self) -> Vec<EffectModel> {
-        let columns = [("sine", "response"), ("cosine", "response")];
-        let cycles = |unit| vec![shape("period", unit, [MIN_CYCLES, 120.0], &GRID)];
-        vec![
-            law("over-stimulus", cycles("period:stimulus"), &columns),
-            law("over-time", cycles("period:time"), &columns).needing(&[LawRequirement::Time]),
-            law("over-order", cycles("period:order"), &columns).needing(&[LawRequirement::Order]),
-        ]
-    }
-    fn acts_severally(&self) -> bool {
-        true
-    }
-    fn least_ratio(&self) -> f64 {
-        1.5
-    }
-    fn sentence(&self) -> &'static str {
-        "The residual repeats with a fixed period."
-    }
-    fn source(&self) -> &'static str {
-        "harmonic regression; frequencies up to the sampling limit or 100 cycles"
+/// Harmonic regression; frequencies up to the sampling limit or 100 cycles.
+pub fn periodic() -> ScalarEffect {
+    let wave = |name, unit| {
+        let period = law(name).shape("period", unit, [MIN_CYCLES, 120.0], &GRID);
+        period.column("sine", "response").column("cosine", "response")
+    };
+    ScalarEffect {
+        wave_of_stimulus: Some("over-stimulus"),
+        too_little_of_it: &SQUIGGLES,
+        not_observable: |frame| {
+            (frame.scaling.count < MIN_PLACES).then(|| format!("fewer than {MIN_PLACES} readings"))
+        },
+        columns: |values, frame| {
+            let (place, places) = variable(values.law(), frame)?;
+            // Above half a cycle from place to place a frequency is another one's alias.
+            let cycles = values.of("period");
+            let aliased = places < MIN_PLACES || cycles > 0.5 * (places as f64 - 1.0);
+            if aliased && !frame.new_rows {
+                return None;
+            }
+            let phase: Vec<f64> = place.iter().map(|p| std::f64::consts::TAU * cycles * p).collect();
+            let locked = || share_explained(&frame.u, &phase) > LOCKED || locked_to_strokes(frame, &phase);
+            if values.law() != "over-stimulus" && !frame.new_rows && locked() {
+                return None;
+            }
+            Some([f64::sin as fn(f64) -> f64, f64::cos].map(|f| phase.iter().map(|p| f(*p)).collect()).into())
+        },
+        ..Effect {
+            acts_severally: true,
+            least_ratio: 1.5,
+            ..Effect::new(
+                PERIODIC,
+                "The residual repeats with a fixed period.",
+                vec![
+                    wave("over-stimulus", "period:stimulus"),
+                    wave("over-time", "period:time").needing(&[LawRequirement::Time]),
+                    wave("over-order", "period:order").needing(&[LawRequirement::Order]),
+                ],
+            )
+        }
+        .into()
     }
 }
 
@@ -114,34 +128,5 @@ fn variable(law: &str, frame: &Frame) -> Option<(Vec<f64>, usize)> {
             let known = frame.time.is_some() || same(&frame.u, &frame.order);
             (!known && frame.ordered).then(|| (frame.order.clone(), n))
         }
-    }
-}
-
-impl ScalarEffect for Periodic {
-    fn too_little_of_it(&self) -> &'static [f64] {
-        &SQUIGGLES
-    }
-    fn of_stimulus(&self, law: &EffectModel) -> bool {
-        law.name == "over-stimulus"
-    }
-    fn not_observable(&self, frame: &Frame) -> Option<String> {
-        (frame.scaling.count < MIN_PLACES).then(|| format!("fewer than {MIN_PLACES} readings"))
-    }
-    fn columns(&self, values: &Values, frame: &Frame, out: &mut Vec<Vec<f64>>) -> bool {
-        let Some((place, places)) = variable(values.law(), frame) else { return false };
-        // Above half a cycle from place to place a frequency is another one's alias.
-        let cycles = values.of("period");
-        let aliased = places < MIN_PLACES || cycles > 0.5 * (places as f64 - 1.0);
-        if aliased && !frame.new_rows {
-            return false;
-        }
-        let phase: Vec<f64> = place.iter().map(|p| std::f64::consts::TAU * cycles * p).collect();
-        let locked = || share_explained(&frame.u, &phase) > LOCKED || locked_to_strokes(frame, &phase);
-        if values.law() != "over-stimulus" && !frame.new_rows && locked() {
-            return false;
-        }
-        out.push(phase.iter().map(|p| p.sin()).collect());
-        out.push(phase.iter().map(|p| p.cos()).collect());
-        true
     }
 }

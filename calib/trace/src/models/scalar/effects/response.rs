@@ -1,0 +1,168 @@
+//! Effects that add columns to the response, and those of its noise.
+
+use super::HETEROSCEDASTIC_NOISE;
+use crate::effect::{Effect, LawRequirement, law};
+use crate::method::noise::spread::MIN_READINGS;
+use crate::scalar::scalar_effect::ScalarEffect;
+
+/// Law of an odd response.
+const ABOUT_ZERO: &str = "power-3-about-zero";
+/// Within this share of the half range zero is inside: the cubic's own part is a third of it and more.
+const TWO_SIDED: f64 = 0.5;
+/// Further out than this from the middle, zero is no part of what was measured.
+const FAR: f64 = 1.2;
+
+/// A term in the square of the stimulus, about the middle of the range (NIST/SEMATECH e-Handbook 4.6.1, load cell).
+pub fn nonlinearity_quadratic() -> ScalarEffect {
+    ScalarEffect {
+        degree: Some(2),
+        columns: |_, frame| Some(vec![frame.u.iter().map(|u| u.powi(2)).collect()]),
+        ..ScalarEffect::new(
+            "nonlinearity-quadratic",
+            "Quadratic nonlinearity: the response has a term in the square of the stimulus.",
+            vec![law("power-2").column("coefficient", "response/half-range^2")],
+        )
+    }
+}
+
+/// A term in the cube of the stimulus, about the middle of the range, or about zero (an odd response).
+///
+/// ```text
+/// (u - u0)^3 = u^3 - 3 u0 u^2 + ...      u0: stimulus zero; about the middle the square has a coefficient of its own
+/// ```
+pub fn nonlinearity_cubic() -> ScalarEffect {
+    let cube = |name| law(name).column("coefficient", "response/half-range^3");
+    ScalarEffect {
+        degree: Some(3),
+        looks_like: |law, frame| {
+            let one_sided = law.name == ABOUT_ZERO && frame.zero_u.abs() > TWO_SIDED;
+            one_sided.then_some("nonlinearity-quadratic")
+        },
+        columns: |values, frame| {
+            let centre = if values.law() == ABOUT_ZERO { frame.zero_u } else { 0.0 };
+            // About the middle of the range both laws are one; far outside it nothing says that zero is the centre.
+            if values.law() == ABOUT_ZERO && !frame.new_rows && !(1e-3..FAR).contains(&centre.abs()) {
+                return None;
+            }
+            Some(vec![frame.u.iter().map(|u| (u - centre).powi(3)).collect()])
+        },
+        ..ScalarEffect::new(
+            "nonlinearity-cubic",
+            "Cubic nonlinearity: the response has a term in the cube of the stimulus.",
+            vec![cube("power-3"), cube(ABOUT_ZERO).needing(&[LawRequirement::Slope])],
+        )
+    }
+}
+
+/// Drift of the zero, in proportion to time, or to the order where there is no time.
+pub fn drift() -> ScalarEffect {
+    let linear = law("linear").needing(&[LawRequirement::Clock]).column("rate", "response/duration");
+    ScalarEffect {
+        columns: |_, frame| Some(vec![frame.clock().to_vec()]),
+        ..ScalarEffect::new("drift", "The zero drifts during the session.", vec![linear])
+    }
+}
+
+/// Temperature moves the zero or the sensitivity (OIML R 60).
+pub fn temperature() -> ScalarEffect {
+    let warm = |name| law(name).needing(&[LawRequirement::Temperature]);
+    ScalarEffect {
+        columns: |values, frame| {
+            let rise = frame.temperature.as_ref()?;
+            let sensitivity = || rise.iter().zip(&frame.u).map(|(t, u)| t * (u - frame.zero_u)).collect();
+            Some(vec![if values.law() == "zero" { rise.clone() } else { sensitivity() }])
+        },
+        ..Effect {
+            acts_severally: true,
+            ..Effect::new(
+                "temperature",
+                "The response moves with the temperature.",
+                vec![
+                    warm("zero").column("zero_shift", "response/degc"),
+                    warm("sensitivity").column("slope_shift", "response/half-range/degc"),
+                ],
+            )
+        }
+        .into()
+    }
+}
+
+/// Places of a step: every hundredth of the session.
+const GRID: [f64; 99] = {
+    let mut grid = [0.0; 99];
+    let mut k = 0;
+    while k < 99 {
+        grid[k] = 0.01 * (k as f64 + 1.0);
+        k += 1;
+    }
+    grid
+};
+
+/// A shift of fewer readings than this at either end is not a step but a matter of single readings.
+const MIN_EACH_SIDE: usize = 3;
+
+/// Step: from some reading on, every response is shifted; a change point in time, or in the order of the readings where the table has no
+/// times.
+pub fn step() -> ScalarEffect {
+    let once = law("once").needing(&[LawRequirement::Clock]).shape("place", "clock", [0.0, 1.0], &GRID);
+    ScalarEffect {
+        columns: |values, frame| {
+            let place = values.of("place");
+            let column: Vec<f64> = frame.clock().iter().map(|o| f64::from(u8::from(*o >= place))).collect();
+            let after = column.iter().filter(|v| **v > 0.0).count();
+            let few = after < MIN_EACH_SIDE || column.len() - after < MIN_EACH_SIDE;
+            (!few || frame.new_rows).then_some(vec![column])
+        },
+        ..Effect {
+            acts_severally: true,
+            ..Effect::new(
+                "step",
+                "The zero steps: from one reading on, all responses are shifted by a constant.",
+                vec![once.column("height", "response")],
+            )
+        }
+        .into()
+    }
+}
+
+/// Single readings far outside the noise.
+pub fn outliers() -> ScalarEffect {
+    let sentence = "Single readings lie far outside the noise of the others.";
+    let found_singly = Effect::new("outliers", sentence, vec![law("single-readings")]);
+    Effect { in_single_readings: true, ..found_singly }.into()
+}
+
+/// The spread of the noise changes with the stimulus: score test of Breusch & Pagan 1979, variance model of Harvey 1976. It has no mean:
+/// `scalar::spread_test` finds it.
+pub fn heteroscedastic_noise() -> ScalarEffect {
+    ScalarEffect {
+        not_observable: |frame| {
+            (frame.scaling.count < MIN_READINGS || !(frame.scaling.half > 0.0))
+                .then(|| format!("needs {MIN_READINGS} readings at different stimuli"))
+        },
+        ..ScalarEffect::new(
+            HETEROSCEDASTIC_NOISE,
+            "The noise depends on the stimulus; the readings were weighted accordingly.",
+            vec![law("spread")],
+        )
+    }
+}
+
+/// A further covariate acts on the response: linear cross-sensitivity, one law for each of the table's `count`; the names stand in the
+/// session.
+pub fn cross_axis(count: usize) -> ScalarEffect {
+    let one = law("covariate").needing(&[LawRequirement::Covariate]).column("slope", "response/covariate");
+    ScalarEffect {
+        columns: |values, frame| Some(vec![frame.covariates.get(values.index())?.clone()?]),
+        ..Effect {
+            acts_severally: true,
+            by_column: true,
+            ..Effect::new(
+                "cross-axis",
+                "Cross-sensitivity: the response also depends on a second quantity of the table.",
+                vec![one; count.max(1)],
+            )
+        }
+        .into()
+    }
+}

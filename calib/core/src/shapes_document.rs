@@ -28,7 +28,6 @@ pub struct TagDocument {
     /// Corners, px, in the tag's frame: (-,+), (+,+), (+,-), (-,-).
     pub corners_px: [[f64; 2]; 4],
     /// Standard deviations of the corners, px.
-    #[serde(default)]
     pub corners_sd_px: [f64; 4],
 }
 
@@ -40,7 +39,6 @@ pub struct Gap {
     /// End, arc length, mm.
     pub to_mm: f64,
     /// `left`, `right`: the pictures that hide it.
-    #[serde(default)]
     pub hidden_in: Vec<String>,
 }
 
@@ -56,26 +54,20 @@ pub struct GrooveDocument {
     /// Its standard deviation, mm.
     pub contact_arclength_sd_mm: f64,
     /// Unit tangent of the wire in the groove, base frame: the groove's axis follows it.
-    #[serde(default)]
     pub axis: [f64; 3],
     /// `vertex` (on both flanks), `double` (arched over the vertex, on the two rims), `out-of-vertex` (on one flank), `none`.
-    #[serde(default)]
     #[schemars(extend("enum" = ["vertex", "double", "out-of-vertex", "none"]))]
     pub contact: String,
     /// Arc lengths of the contacts, mm: none, one, or the two rims.
-    #[serde(default)]
     pub contacts_mm: Vec<f64>,
     /// Distance of the wire from the vertex position that the tag states, mm.
-    #[serde(default)]
     pub distance_from_vertex_mm: f64,
     /// Where the groove's flanks meet, base frame, mm; none where the wire is not deflected enough to tell the push's direction.
-    #[serde(default)]
     pub apex_mm: Option<[f64; 3]>,
     /// Vertex position by the rig tag alone, base frame, mm.
-    #[serde(default)]
     pub by_tag_mm: [f64; 3],
-    /// Covariance of the position, base frame, mm^2, shared errors included; absent in files from before it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Covariance of the position, base frame, mm^2, shared errors included.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub covariance_mm2: Option<[[f64; 3]; 3]>,
 }
 
@@ -97,13 +89,10 @@ pub struct ErrorColumn {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub centreline_mm: Vec<[f64; 3]>,
     /// Displacement of [`GrooveDocument::position_mm`], mm (a unit); zero without groove.
-    #[serde(default)]
     pub groove_mm: [f64; 3],
     /// Change of [`GrooveDocument::contact_arclength_mm`], mm (a unit).
-    #[serde(default)]
     pub contact_arclength_mm: f64,
     /// Change of [`PairDocument::length_mm`], mm (a unit).
-    #[serde(default)]
     pub length_mm: f64,
 }
 
@@ -126,13 +115,11 @@ pub struct PairErrors {
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct ShapesSource {
     /// SHA-256 of the file of the cameras; of all files in order where there are several; empty where it was not stated.
-    #[serde(default)]
     pub cameras_sha256: String,
     /// SHA-256 of the rig's tables `whisker`, `tags` and `groove` as canonical JSON; empty where it was not stated.
-    #[serde(default)]
     pub rig_sha256: String,
     /// `id` of the session whose pictures they are; none outside a session.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub session: Option<String>,
 }
 
@@ -167,47 +154,35 @@ pub struct PairDocument {
     #[schemars(extend("enum" = ["ok", "rejected"]))]
     pub status: String,
     /// Reason of a rejection.
-    #[serde(default)]
     pub why: String,
     /// Point of the session whose pose it shows; null where the pictures belong to none.
-    #[serde(default)]
     pub point: Option<i64>,
     /// 4 x 4, mm: takes base coordinates to the left camera's; empty where the base is not seen.
-    #[serde(default)]
     pub left_from_base: Vec<[f64; 4]>,
     /// Tags seen.
-    #[serde(default)]
     pub tags: Vec<TagDocument>,
     /// Centre line from root to tip, base frame, mm.
-    #[serde(default)]
     pub centreline_mm: Vec<[f64; 3]>,
     /// Standard deviation across the line: the 95 % radius in the plane across it, over 2.4477.
-    #[serde(default)]
     pub centreline_sd_mm: Vec<f64>,
     /// Length, mm.
-    #[serde(default)]
     pub length_mm: f64,
     /// Standard deviation of the length, mm.
-    #[serde(default)]
     pub length_sd_mm: f64,
     /// Independent errors that all pairs share, in the same order for every pair: the cameras' calibration, largest part first, the whole
     /// line (uneven light), and the form of the wire's end. They are in the standard deviations above too.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shared_errors: Vec<SharedError>,
-    /// Errors of the observations, a pair's own and shared ones; absent in files from before them and for pairs that were rejected.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Errors of the observations, a pair's own and shared ones; absent for pairs that were rejected.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub errors: Option<PairErrors>,
     /// Stretches not seen.
-    #[serde(default)]
     pub gaps: Vec<Gap>,
     /// The groove's contact; null where the rig tag is not seen.
-    #[serde(default)]
     pub groove: Option<GrooveDocument>,
     /// RMS distance of the measured pieces from the reprojected curve, left and right, px.
-    #[serde(default)]
     pub residual_rms_px: [f64; 2],
     /// Remarks.
-    #[serde(default)]
     pub warnings: Vec<String>,
 }
 
@@ -226,12 +201,9 @@ pub struct ShapesDocument {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shared_covariance: Vec<Vec<f64>>,
     /// What the shapes were made from.
-    #[serde(default)]
     pub source: ShapesSource,
     /// Remarks on the folder as a whole.
-    #[serde(default)]
     pub warnings: Vec<String>,
     /// What made it.
-    #[serde(default)]
     pub provenance: crate::Provenance,
 }

@@ -86,7 +86,7 @@ pub struct CalibrationFile<M> {
     /// What the errors of the moments are made of: standard deviations, N mm; null: not known. Absent where there is no whisker.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub noise: Option<CalibrationNoise>,
-    /// SHA-256 over the compact JSON of two lists: `session`, `verification`, `expires`, `model`, `provenance`; and `whisker`,
+    /// SHA-256 over the compact JSON of the list `session`, `verification`, `expires`, `model`, `provenance`, and of a whisker `whisker`,
     /// `contact_uncertainty`, `frame`, `noise` with `null` for what is not there. Tampering changes it.
     #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub content_sha256: String,
@@ -98,9 +98,14 @@ impl<M: Serialize> CalibrationFile<M> {
     /// # Errors
     /// Where the model cannot be written as JSON.
     pub fn compute_hash(&self) -> Result<String, serde_json::Error> {
-        let made = (&self.session, &self.verification, &self.expires, &self.model, &self.provenance);
-        let wire = (&self.whisker, &self.contact_uncertainty, &self.frame, &self.noise);
-        Ok(crate::provenance::sha256_hex(&serde_json::to_vec(&(made, wire))?))
+        let (session, model, made) = (&self.session, &self.model, &self.provenance);
+        let (judged, until, wire, noise) = (&self.verification, &self.expires, &self.whisker, &self.noise);
+        let (contact, frame) = (&self.contact_uncertainty, &self.frame);
+        let body = match (wire, contact, frame, noise) {
+            (None, None, None, None) => serde_json::to_vec(&(session, judged, until, model, made))?,
+            _ => serde_json::to_vec(&(session, judged, until, model, made, wire, contact, frame, noise))?,
+        };
+        Ok(crate::provenance::sha256_hex(&body))
     }
 }
 

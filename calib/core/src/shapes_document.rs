@@ -28,6 +28,7 @@ pub struct TagDocument {
     /// Corners, px, in the tag's frame: (-,+), (+,+), (+,-), (-,-).
     pub corners_px: [[f64; 2]; 4],
     /// Standard deviations of the corners, px.
+    #[serde(default)]
     pub corners_sd_px: [f64; 4],
 }
 
@@ -39,6 +40,7 @@ pub struct Gap {
     /// End, arc length, mm.
     pub to_mm: f64,
     /// `left`, `right`: the pictures that hide it.
+    #[serde(default)]
     pub hidden_in: Vec<String>,
 }
 
@@ -54,17 +56,22 @@ pub struct GrooveDocument {
     /// Its standard deviation, mm.
     pub contact_arclength_sd_mm: f64,
     /// Unit tangent of the wire in the groove, base frame: the groove's axis follows it.
+    #[serde(default)]
     pub axis: [f64; 3],
     /// `vertex` (on both flanks), `double` (arched over the vertex, on the two rims), `out-of-vertex` (on one flank), `none`.
+    #[serde(default)]
     #[schemars(extend("enum" = ["vertex", "double", "out-of-vertex", "none"]))]
     pub contact: String,
     /// Arc lengths of the contacts, mm: none, one, or the two rims.
+    #[serde(default)]
     pub contacts_mm: Vec<f64>,
     /// Distance of the wire from the vertex position that the tag states, mm.
+    #[serde(default)]
     pub distance_from_vertex_mm: f64,
     /// Where the groove's flanks meet, base frame, mm; none where the wire is not deflected enough to tell the push's direction.
     pub apex_mm: Option<[f64; 3]>,
     /// Vertex position by the rig tag alone, base frame, mm.
+    #[serde(default)]
     pub by_tag_mm: [f64; 3],
     /// Covariance of the position, base frame, mm^2, shared errors included.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -84,9 +91,10 @@ pub struct SharedParameter {
 
 /// What one error does to a pair's observations: a standard deviation of it (own errors) or a unit of it (shared parameters).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct ErrorColumn {
     /// Displacement of the centre line at each of [`PairErrors::stations`], base frame, mm (a unit).
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub centreline_mm: Vec<[f64; 3]>,
     /// Displacement of [`GrooveDocument::position_mm`], mm (a unit); zero without groove.
     pub groove_mm: [f64; 3],
@@ -113,6 +121,7 @@ pub struct PairErrors {
 
 /// What the shapes were made from: verified before they are used with other data.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct ShapesSource {
     /// SHA-256 of the file of the cameras; of all files in order where there are several; empty where it was not stated.
     pub cameras_sha256: String,
@@ -147,6 +156,7 @@ pub struct SharedError {
 
 /// One pair.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct PairDocument {
     /// Name.
     pub name: String,
@@ -171,7 +181,7 @@ pub struct PairDocument {
     pub length_sd_mm: f64,
     /// Independent errors that all pairs share, in the same order for every pair: the cameras' calibration, largest part first, the whole
     /// line (uneven light), and the form of the wire's end. They are in the standard deviations above too.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub shared_errors: Vec<SharedError>,
     /// Errors of the observations, a pair's own and shared ones; absent for pairs that were rejected.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -201,9 +211,12 @@ pub struct ShapesDocument {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shared_covariance: Vec<Vec<f64>>,
     /// What the shapes were made from.
+    #[serde(default)]
     pub source: ShapesSource,
     /// Remarks on the folder as a whole.
+    #[serde(default)]
     pub warnings: Vec<String>,
     /// What made it.
+    #[serde(default)]
     pub provenance: crate::Provenance,
 }

@@ -8,11 +8,12 @@ use crate::output::{OutputFolder, Overwrite, ResultKind, first_line};
 use crate::simulated::word;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
+use columns::Plan;
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use wcal_core::InputFile;
+use wcal_core::{InputFile, TransducerModel};
 use wcal_session::{Separator, SessionFiles, TextTable, TextTableLayout, read_text_table, write_session};
 
 /// Arguments of `wcal import`.
@@ -99,8 +100,8 @@ pub struct ImportArgs {
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub columns: Option<Vec<String>>,
     /// comma, semicolon, tab or whitespace
-    #[arg(long, value_enum, default_value_t = SeparatorName::Comma, hide_possible_values = true)]
-    pub separator: SeparatorName,
+    #[arg(long, value_name = "SEPARATOR", default_value = "comma")]
+    pub separator: Separator,
     /// Short for --separator whitespace
     #[arg(long, conflicts_with = "separator")]
     pub whitespace: bool,
@@ -129,7 +130,7 @@ pub enum Kind {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Declared {
     /// Law of a transducer.
-    Law(Model),
+    Law(TransducerModel),
     /// File that describes a whisker.
     Whisker(PathBuf),
 }
@@ -138,32 +139,9 @@ fn declared(text: &str) -> Result<Declared, String> {
     if text.ends_with(".toml") {
         return Ok(Declared::Whisker(text.into()));
     }
-    let law = Model::from_str(text, false).map(Declared::Law);
-    law.map_err(|_| format!("expected constant, linear, quadratic, or a file WHISKER.toml, found {text}"))
-}
-
-/// Declared model of a transducer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Model {
-    /// response = b0
-    Constant,
-    /// response = b0 + b1 stimulus
-    Linear,
-    /// response = b0 + b1 stimulus + b2 stimulus^2
-    Quadratic,
-}
-
-/// Name of a separator on the command line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum SeparatorName {
-    /// `,`
-    Comma,
-    /// `;`
-    Semicolon,
-    /// Tab.
-    Tab,
-    /// Any run of blanks.
-    Whitespace,
+    let law: Result<TransducerModel, toml::de::Error> = toml::Value::from(text).try_into();
+    law.map(Declared::Law)
+        .map_err(|_| format!("expected constant, linear, quadratic, or a file WHISKER.toml, found {text}"))
 }
 
 fn name_of(value: impl ValueEnum) -> String {
@@ -229,16 +207,17 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let layout = layout(args);
     let table = read_text_table(&args.file, &layout)?;
+    let plan = Plan::new(args, &table)?;
     let mut files = SessionFiles::default();
-    files.tables.push(("points.csv".to_owned(), columns::convert(args, &table)?));
-    let mut left_out = columns::left_out(args, &table)?;
-    let repeated = columns::repeated(args, &table)?;
+    files.tables.push(("points.csv".to_owned(), plan.csv(&table)?));
+    let mut columns_left_out = plan.left_out(&table);
     let mut sources = vec![&table];
     let holdout = args.holdout.as_deref().map(|path| read_text_table(path, &layout)).transpose()?;
     if let Some(holdout) = &holdout {
-        files.tables.push(("holdout.csv".to_owned(), columns::convert(args, holdout)?));
-        let more = columns::left_out(args, holdout)?;
-        left_out.extend(more.into_iter().filter(|name| !table.columns.contains(name)));
+        let plan = Plan::new(args, holdout)?;
+        files.tables.push(("holdout.csv".to_owned(), plan.csv(holdout)?));
+        let more = plan.left_out(holdout);
+        columns_left_out.extend(more.into_iter().filter(|name| !table.columns.contains(name)));
         sources.push(holdout);
     }
     refuse_other_tables(&out, &sources, &files.tables[0].1)?;
@@ -254,24 +233,29 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     }
     out.put("session.toml", files.session_toml);
     out.finish()?;
-    let rows = table.rows.len();
-    let warnings: Vec<String> = session.warnings.iter().map(ToString::to_string).chain(repeated).collect();
+    let document = ImportDocument {
+        format: "wcal-import/1",
+        session: session.id,
+        kind: name_of(args.kind),
+        folder: &args.out,
+        simulated: session.simulated,
+        rows: table.rows.len(),
+        holdout_rows: holdout.as_ref().map_or(0, |h| h.rows.len()),
+        columns_left_out,
+        warnings: session.warnings.iter().map(ToString::to_string).chain(plan.repeated).collect(),
+        inputs: session.inputs,
+    };
+    say(args, &document, &sources)
+}
+
+/// Says what was imported, and what was odd about it; exit code 3 where the new session carries warnings.
+fn say(args: &ImportArgs, document: &ImportDocument<'_>, sources: &[&TextTable]) -> anyhow::Result<ExitCode> {
+    let ImportDocument { session, kind, rows, warnings, columns_left_out, .. } = document;
     if args.json {
-        let document = ImportDocument {
-            format: "wcal-import/1",
-            session: &session.id,
-            kind: &name_of(args.kind),
-            folder: &args.out,
-            simulated: session.simulated,
-            rows,
-            holdout_rows: holdout.as_ref().map_or(0, |h| h.rows.len()),
-            columns_left_out: &left_out,
-            warnings: &warnings,
-            inputs: &session.inputs,
-        };
-        println!("{}", serde_json::to_string_pretty(&document)?);
+        println!("{}", serde_json::to_string_pretty(document)?);
     } else {
-        println!("{}: {rows} rows, session {:?}{}", args.out.display(), session.id, word(session.simulated));
+        let what = if kind == "sweep" { "sweep" } else { "session" };
+        println!("{}: {rows} rows, {what} {session:?}{}", args.out.display(), word(document.simulated));
     }
     // Of the tables that were given: those of the session end as they should.
     for remark in sources.iter().filter_map(|table| table.warning()) {
@@ -280,10 +264,11 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     for (source, encoding) in sources.iter().filter_map(|s| Some((s, s.encoding?))) {
         eprintln!("{}: read as {encoding}", source.file);
     }
-    if !left_out.is_empty() {
-        eprintln!("columns not imported: {}; {}", left_out.join(", "), columns::WAY_IN);
+    if !columns_left_out.is_empty() {
+        let way_in = if kind == "sweep" { "" } else { columns::WAY_IN };
+        eprintln!("columns not imported: {}{way_in}", columns_left_out.join(", "));
     }
-    for warning in &warnings {
+    for warning in warnings {
         eprintln!("warning: {warning}");
     }
     Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
@@ -296,10 +281,10 @@ pub struct ImportDocument<'a> {
     #[schemars(extend("const" = "wcal-import/1"))]
     format: &'static str,
     /// Identifier.
-    session: &'a str,
+    session: String,
     /// Kind.
     #[schemars(extend("enum" = ["whisker", "transducer", "axis", "sweep"]))]
-    kind: &'a str,
+    kind: String,
     /// Folder.
     folder: &'a Path,
     /// Marked as simulated.
@@ -309,21 +294,15 @@ pub struct ImportDocument<'a> {
     /// Sealed rows.
     holdout_rows: usize,
     /// Columns of the table that the session does not have.
-    columns_left_out: &'a [String],
+    columns_left_out: Vec<String>,
     /// Remarks.
-    warnings: &'a [String],
+    warnings: Vec<String>,
     /// Files written; none of a sweep.
-    inputs: &'a [InputFile],
+    inputs: Vec<InputFile>,
 }
 
 fn layout(args: &ImportArgs) -> TextTableLayout {
-    let separator = match args.separator {
-        _ if args.whitespace => Separator::Whitespace,
-        SeparatorName::Comma => Separator::Comma,
-        SeparatorName::Semicolon => Separator::Semicolon,
-        SeparatorName::Tab => Separator::Tab,
-        SeparatorName::Whitespace => Separator::Whitespace,
-    };
+    let separator = if args.whitespace { Separator::Whitespace } else { args.separator };
     let (columns, skip_lines) = (args.columns.clone(), args.skip_lines);
     TextTableLayout { skip_lines, columns, separator, decimal_comma: args.decimal_comma }
 }

@@ -237,7 +237,7 @@ pub struct SweepDocument<'a> {
 #[derive(Serialize, JsonSchema)]
 struct CauseDocument {
     /// Kind of the fault.
-    kind: &'static str,
+    kind: String,
     /// In words.
     text: String,
 }

@@ -1,7 +1,8 @@
 //! Column mapping: cells of the foreign table under the session's names.
 
-use super::{Declared, ImportArgs, Kind, Model};
+use super::{Declared, ImportArgs, Kind};
 use anyhow::{Context, bail, ensure};
+use wcal_core::TransducerModel;
 use wcal_session::{TextTable, WHISKER_COLUMNS};
 
 /// Columns of the other kinds that are taken along wherever a table has them under these names.
@@ -22,74 +23,125 @@ enum Source {
     Calibration,
 }
 
-/// The session's table as CSV.
-///
-/// # Errors
-/// Where a column is missing, a mapping is malformed, or a cell is not what its column needs.
-pub(super) fn convert(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<u8>> {
-    let plan = plan(args, table)?;
-    for (name, source) in &plan {
-        if let Source::Column { index, .. } = source
-            && !TEXT_COLUMNS.contains(&name.as_str())
-        {
-            table.check_thousands(*index)?;
-        }
-    }
-    let mut out = plan.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(",");
-    out.push('\n');
-    for row in 0..table.rows.len() {
-        for (position, (name, source)) in plan.iter().enumerate() {
-            if position > 0 {
-                out.push(',');
-            }
-            match source {
-                Source::Order => out.push_str(&(row + 1).to_string()),
-                Source::Calibration => out.push_str("calibration"),
-                Source::Position { commanded, error } => {
-                    let [commanded, error] = [commanded, error]
-                        .map(|(index, factor)| table.number(row, *index).map(|value| Some(value? * factor)));
-                    if let (Some(commanded), Some(error)) = (commanded?, error?) {
-                        out.push_str(&format!("{}", commanded + error));
-                    }
-                }
-                Source::Column { index, .. } if TEXT_COLUMNS.contains(&name.as_str()) => {
-                    let text = table.rows[row].1[*index].trim();
-                    ensure!(!text.contains([',', '"', '\n']), "{}: role {text:?} is not a word", table.file);
-                    out.push_str(text);
-                }
-                Source::Column { index, factor } => {
-                    // `{}` prints the shortest text that reads back as the same number: nothing is lost.
-                    if let Some(value) = table.number(row, *index)? {
-                        out.push_str(&format!("{}", value * factor.unwrap_or(1.0)));
-                    }
-                }
-            }
-        }
-        out.push('\n');
-    }
-    Ok(out.into_bytes())
+/// Where the columns of the session come from.
+pub(super) struct Plan {
+    columns: Vec<(String, Source)>,
+    /// Columns that stand in the table more than once, with the same cells, in words.
+    pub(super) repeated: Vec<String>,
 }
 
-/// Columns of the foreign table that the session does not have, in their order.
-///
-/// # Errors
-/// As [`convert`].
-pub(super) fn left_out(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<String>> {
-    let taken: Vec<usize> = plan(args, table)?
-        .iter()
-        .flat_map(|(_, source)| match source {
-            Source::Column { index, .. } => vec![*index],
-            Source::Position { commanded, error } => vec![commanded.0, error.0],
-            Source::Order | Source::Calibration => Vec::new(),
-        })
-        .collect();
-    let left = table.columns.iter().enumerate().filter(|(k, _)| !taken.contains(k));
-    Ok(left.map(|(_, name)| name.clone()).collect())
+impl Plan {
+    /// The session's table as CSV.
+    ///
+    /// # Errors
+    /// Where a cell is not what its column needs.
+    pub(super) fn csv(&self, table: &TextTable) -> anyhow::Result<Vec<u8>> {
+        for (name, source) in &self.columns {
+            if let Source::Column { index, .. } = source
+                && !TEXT_COLUMNS.contains(&name.as_str())
+            {
+                table.check_thousands(*index)?;
+            }
+        }
+        let mut out = self.columns.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(",");
+        out.push('\n');
+        for row in 0..table.rows.len() {
+            for (position, (name, source)) in self.columns.iter().enumerate() {
+                if position > 0 {
+                    out.push(',');
+                }
+                match source {
+                    Source::Order => out.push_str(&(row + 1).to_string()),
+                    Source::Calibration => out.push_str("calibration"),
+                    Source::Position { commanded, error } => {
+                        let [commanded, error] = [commanded, error].map(|(index, factor)| {
+                            table.number(row, *index).map(|value| Some(value? * factor))
+                        });
+                        if let (Some(commanded), Some(error)) = (commanded?, error?) {
+                            out.push_str(&format!("{}", commanded + error));
+                        }
+                    }
+                    Source::Column { index, .. } if TEXT_COLUMNS.contains(&name.as_str()) => {
+                        let text = table.rows[row].1[*index].trim();
+                        ensure!(
+                            !text.contains([',', '"', '\n']),
+                            "{}: role {text:?} is not a word",
+                            table.file
+                        );
+                        out.push_str(text);
+                    }
+                    Source::Column { index, factor } => {
+                        // `{}` prints the shortest text that reads back as the same number: nothing is lost.
+                        if let Some(value) = table.number(row, *index)? {
+                            out.push_str(&format!("{}", value * factor.unwrap_or(1.0)));
+                        }
+                    }
+                }
+            }
+            out.push('\n');
+        }
+        Ok(out.into_bytes())
+    }
+
+    /// Columns of the foreign table that the session does not have, in their order.
+    pub(super) fn left_out(&self, table: &TextTable) -> Vec<String> {
+        let taken = |k: usize| {
+            self.columns.iter().any(|(_, source)| match source {
+                Source::Column { index, .. } => *index == k,
+                Source::Position { commanded, error } => commanded.0 == k || error.0 == k,
+                Source::Order | Source::Calibration => false,
+            })
+        };
+        let left = table.columns.iter().enumerate().filter(|(k, _)| !taken(*k));
+        left.map(|(_, name)| name.clone()).collect()
+    }
+
+    /// What the arguments ask of a table.
+    ///
+    /// # Errors
+    /// Where a column is missing, or a mapping is malformed.
+    pub(super) fn new(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Self> {
+        let wanted = wanted(args, table)?;
+        let mut columns = Vec::new();
+        for (name, fallback) in [("point", Source::Order), ("role", Source::Calibration)] {
+            if !wanted.iter().any(|(n, _)| n == name) {
+                columns.push((name.to_owned(), fallback));
+            }
+        }
+        if args.kind == Kind::Transducer && args.stimulus.is_none() {
+            ensure!(
+                args.model == Some(Declared::Law(TransducerModel::Constant)),
+                "--stimulus is missing: expected the column of the stimulus (only --model constant does without)"
+            );
+            columns.push(("stimulus".to_owned(), Source::Order));
+        }
+        let place = wanted.iter().find(|(name, _)| name == "commanded_mm");
+        let place = place.map(|(_, column)| scaled(table, column)).transpose()?;
+        let mut repeated = Vec::new();
+        for (name, column) in wanted {
+            let (index, factor) = scaled(table, &column)?;
+            let count = table.columns_named(&table.columns[index]).len();
+            if count > 1 {
+                let text = format!("{count} columns named {column} with the same cells; counted once");
+                repeated.push(format!("{}: {text}", table.file));
+            }
+            let unit_mm = error_unit_mm(&name).filter(|_| args.kind == Kind::Axis);
+            columns.push(match (unit_mm, place) {
+                (Some(unit_mm), Some((place, own))) => {
+                    let commanded = (place, own.unwrap_or(1.0));
+                    let error = (index, unit_mm * factor.unwrap_or(1.0));
+                    ("measured_mm".to_owned(), Source::Position { commanded, error })
+                }
+                _ => (name, Source::Column { index, factor }),
+            });
+        }
+        Ok(Self { columns, repeated })
+    }
 }
 
 /// The option that takes a further column.
 pub(super) const WAY_IN: &str =
-    "--covariate COLUMN takes one, --covariate NAME=COLUMN under its name in the session";
+    "; --covariate COLUMN takes one, --covariate NAME=COLUMN under its name in the session";
 
 /// A column of the foreign table and the factor that its cells are multiplied by: `COL` or `COL*FACTOR`.
 ///
@@ -109,52 +161,6 @@ fn scaled(table: &TextTable, text: &str) -> anyhow::Result<(usize, Option<f64>)>
 fn error_unit_mm(name: &str) -> Option<f64> {
     let units = [("error_um", 1e-3), ("error_mm", 1.0), ("error_in", 25.4)];
     units.into_iter().find(|(unit, _)| *unit == name).map(|(_, mm)| mm)
-}
-
-fn plan(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, Source)>> {
-    let wanted = wanted(args, table)?;
-    let mut plan = Vec::new();
-    for (name, fallback) in [("point", Source::Order), ("role", Source::Calibration)] {
-        if !wanted.iter().any(|(n, _)| n == name) {
-            plan.push((name.to_owned(), fallback));
-        }
-    }
-    if args.kind == Kind::Transducer && args.stimulus.is_none() {
-        ensure!(
-            args.model == Some(Declared::Law(Model::Constant)),
-            "--stimulus is missing: expected the column of the stimulus (only --model constant does without)"
-        );
-        plan.push(("stimulus".to_owned(), Source::Order));
-    }
-    let commanded = wanted.iter().find(|(name, _)| name == "commanded_mm").cloned();
-    for (name, column) in wanted {
-        let (index, factor) = scaled(table, &column)?;
-        let unit_mm = error_unit_mm(&name).filter(|_| args.kind == Kind::Axis);
-        let (Some(unit_mm), Some((_, place))) = (unit_mm, &commanded) else {
-            plan.push((name, Source::Column { index, factor }));
-            continue;
-        };
-        let (place, own) = scaled(table, place)?;
-        let commanded = (place, own.unwrap_or(1.0));
-        let error = (index, unit_mm * factor.unwrap_or(1.0));
-        plan.push(("measured_mm".to_owned(), Source::Position { commanded, error }));
-    }
-    Ok(plan)
-}
-
-/// Columns that stand in the table more than once, with the same cells, in words.
-///
-/// # Errors
-/// As [`convert`].
-pub(super) fn repeated(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<String>> {
-    let wanted = wanted(args, table)?;
-    let again = |(_, column): &(String, String)| {
-        let count = scaled(table, column).map_or(0, |(k, _)| table.columns_named(&table.columns[k]).len());
-        (count > 1).then(|| {
-            format!("{}: {count} columns named {column} with the same cells; counted once", table.file)
-        })
-    };
-    Ok(wanted.iter().filter_map(again).collect())
 }
 
 /// Name in the session and name in the foreign table of every column to import.

@@ -1,10 +1,11 @@
 //! `session.toml` of an imported session.
 
-use super::{Declared, ImportArgs, Kind, Model, name_of};
+use super::{Declared, ImportArgs, Kind, name_of};
 use crate::simulated::is_simulated;
 use anyhow::{Context, bail, ensure};
 use std::path::Path;
 use toml::{Table, Value};
+use wcal_core::TransducerModel;
 use wcal_session::{SESSION_FORMAT, TextTable};
 
 /// Tables of a whisker's description that are taken over.
@@ -14,31 +15,28 @@ const TAKEN_OVER: &[&str] =
 /// Files beside `session.toml`: name and content.
 type Tables = Vec<(String, Vec<u8>)>;
 
-/// Surrounding medium of an imported session; session.toml is where another one is stated.
-pub(super) const MEDIUM: &str = "air";
-
 /// The folder's name.
 pub(super) fn identifier(args: &ImportArgs) -> anyhow::Result<String> {
     let folder = args.out.file_name().map(|n| n.to_string_lossy().into_owned());
     folder.context("--out: expected the name of a new folder")
 }
 
+/// What every imported session states, its tables of points and of the holdout by their names. The medium is air; session.toml is where another
+/// one is stated.
+pub(super) fn header(args: &ImportArgs, kind: &str, files: &[(&str, &str)]) -> anyhow::Result<Table> {
+    let text = |(key, value): (&str, &str)| (key.to_owned(), Value::from(value));
+    let (id, created) = (identifier(args)?, created()?);
+    let stated =
+        [("format", SESSION_FORMAT), ("id", &id), ("kind", kind), ("medium", "air"), ("created", &created)];
+    let files: Table = files.iter().copied().map(text).collect();
+    Ok(stated.map(text).into_iter().chain([("files".to_owned(), Value::Table(files))]).collect())
+}
+
 /// Text of `session.toml`, and further files that it names.
 pub(super) fn write(args: &ImportArgs, sources: &[&TextTable]) -> anyhow::Result<(String, Tables)> {
-    let id = identifier(args)?;
     let mut more = Vec::new();
-    let mut top = Table::new();
-    let mut text = |key: &str, value: &str| top.insert(key.to_owned(), Value::from(value));
-    text("format", SESSION_FORMAT);
-    text("id", &id);
-    text("kind", &name_of(args.kind));
-    text("medium", MEDIUM);
-    text("created", &created()?);
-    let mut files = Table::new();
-    files.insert("points".to_owned(), Value::from("points.csv"));
-    if sources.len() > 1 {
-        files.insert("holdout".to_owned(), Value::from("holdout.csv"));
-    }
+    let tables = [("points", "points.csv"), ("holdout", "holdout.csv")];
+    let mut top = header(args, &name_of(args.kind), &tables[..sources.len()])?;
     let whisker = match &args.model {
         Some(Declared::Whisker(file)) if args.kind == Kind::Whisker => Some(file),
         Some(Declared::Law(_)) if args.kind == Kind::Transducer => None,
@@ -48,23 +46,19 @@ pub(super) fn write(args: &ImportArgs, sources: &[&TextTable]) -> anyhow::Result
         ),
     };
     if let Some(file) = whisker {
-        take_over(file, &mut top, &mut files, &mut more)?;
+        take_over(file, &mut top, &mut more)?;
     }
-    top.insert("files".to_owned(), Value::Table(files));
     if args.kind == Kind::Transducer {
         top.insert("transducer".to_owned(), Value::Table(transducer(args)));
     }
-    let mut provenance = provenance(sources);
     // A table out of a simulated session stays simulated.
-    if whisker.into_iter().chain([&args.file]).any(|path| is_simulated(path)) {
-        provenance.insert("simulated".to_owned(), Value::Boolean(true));
-    }
-    top.insert("provenance".to_owned(), Value::Table(provenance));
+    let simulated = whisker.into_iter().chain([&args.file]).any(|path| is_simulated(path));
+    top.insert("provenance".to_owned(), Value::Table(provenance(sources, simulated)));
     Ok((toml::to_string(&top)?, more))
 }
 
 /// Now, or the time in SOURCE_DATE_EPOCH, so that an import can be repeated to the byte.
-pub(super) fn created() -> anyhow::Result<String> {
+fn created() -> anyhow::Result<String> {
     let stamp = match std::env::var("SOURCE_DATE_EPOCH") {
         Ok(seconds) => {
             let seconds = seconds
@@ -80,17 +74,22 @@ pub(super) fn created() -> anyhow::Result<String> {
 fn transducer(args: &ImportArgs) -> Table {
     let counted = args.stimulus.is_none();
     let stimulus_unit = if counted { "observation" } else { args.stimulus_unit.as_str() };
-    let model = match args.model {
-        Some(Declared::Law(law)) => name_of(law),
-        _ => name_of(Model::Linear),
+    let law = match args.model {
+        Some(Declared::Law(law)) => law,
+        _ => TransducerModel::Linear,
     };
-    [("stimulus_unit", stimulus_unit), ("response_unit", &args.response_unit), ("model", &model)]
+    let model = match law {
+        TransducerModel::Constant => "constant",
+        TransducerModel::Linear => "linear",
+        TransducerModel::Quadratic => "quadratic",
+    };
+    [("stimulus_unit", stimulus_unit), ("response_unit", &args.response_unit), ("model", model)]
         .into_iter()
         .map(|(key, value)| (key.to_owned(), Value::from(value)))
         .collect()
 }
 
-pub(super) fn provenance(sources: &[&TextTable]) -> Table {
+pub(super) fn provenance(sources: &[&TextTable], simulated: bool) -> Table {
     let short = |path: &str| {
         Path::new(path).file_name().map_or(path.to_owned(), |n| n.to_string_lossy().into_owned())
     };
@@ -102,11 +101,12 @@ pub(super) fn provenance(sources: &[&TextTable]) -> Table {
     table.insert("program".to_owned(), Value::from(format!("wcal {}", env!("CARGO_PKG_VERSION"))));
     table.insert("command".to_owned(), std::env::args().skip(1).collect::<Vec<_>>().into());
     table.insert("inputs".to_owned(), Value::Array(inputs.collect()));
+    table.extend(simulated.then(|| ("simulated".to_owned(), Value::Boolean(true))));
     table
 }
 
 /// Takes the whisker's tables from another description, its rest shape with it.
-fn take_over(path: &Path, top: &mut Table, files: &mut Table, more: &mut Tables) -> anyhow::Result<()> {
+fn take_over(path: &Path, top: &mut Table, more: &mut Tables) -> anyhow::Result<()> {
     let text = wcal_core::files::read_text(path).with_context(|| format!("reading {}", path.display()))?;
     let meta = wcal_core::document::toml(&text)
         .with_context(|| format!("{}: expected valid TOML", path.display()))?;
@@ -125,7 +125,8 @@ fn take_over(path: &Path, top: &mut Table, files: &mut Table, more: &mut Tables)
         let source = path.parent().unwrap_or(Path::new(".")).join(name);
         let bytes =
             wcal_core::files::read(&source).with_context(|| format!("reading {}", source.display()))?;
-        files.insert("rest_shape".to_owned(), Value::from("rest_shape.csv"));
+        let files = top.get_mut("files").and_then(Value::as_table_mut);
+        files.map(|files| files.insert("rest_shape".to_owned(), Value::from("rest_shape.csv")));
         more.push(("rest_shape.csv".to_owned(), bytes));
     }
     Ok(())

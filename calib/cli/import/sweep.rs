@@ -1,17 +1,16 @@
 //! A sweep over an object becomes a session of kind "sweep": readings with the poses of the base, and the object where it is known.
 
-use super::{ImportArgs, ImportDocument, RESULT, description, layout, refuse_other_tables};
+use super::{ImportArgs, ImportDocument, RESULT, description, layout, refuse_other_tables, say};
 use crate::output::OutputFolder;
-use crate::simulated::{is_simulated, word};
+use crate::simulated::is_simulated;
 use anyhow::{Context, bail, ensure};
 use std::fmt::Write as _;
-use std::path::Path;
 use std::process::ExitCode;
-use toml::{Table, Value};
+use toml::Value;
 use wcal_contact::motion_table;
 use wcal_contact::sweep_session::{KIND, PLACED_SD_MM, pose_of};
 use wcal_contact::table_source::base_pose;
-use wcal_session::{SESSION_FORMAT, TextTable, read_text_table};
+use wcal_session::{TextTable, read_text_table};
 use wcal_sim::Mesh;
 
 /// Name of the object's mesh in the folder.
@@ -19,12 +18,10 @@ pub const OBJECT: &str = "object.stl";
 const POSES: &str = "base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz";
 
 /// What a sweep is made of.
-struct Sweep<'a> {
+struct Sweep {
     /// points.csv.
     points: String,
-    rows: usize,
-    object: Option<&'a Path>,
-    sources: Vec<TextTable>,
+    source: TextTable,
     /// Columns that are not taken over.
     left_out: Vec<String>,
     /// Readings at whose time the log tells nothing.
@@ -32,7 +29,7 @@ struct Sweep<'a> {
 }
 
 /// A table of readings with the poses of the base from a log.
-fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep<'_>> {
+fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep> {
     let motion = args.motion.as_deref().context("--kind sweep: expected --motion LOG.csv, found none")?;
     let table = read_text_table(&args.file, &layout(args))?;
     let logged = motion_table::read(motion)?;
@@ -55,7 +52,7 @@ fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep<'_>> {
         let t_s = table
             .number(k, time)?
             .with_context(|| format!("{}: line {line}: t_s: expected a time, found none", table.file))?;
-        let values: Vec<&str> = columns.iter().map(|c| cells[*c].as_str()).collect();
+        let values: Vec<&str> = columns.iter().map(|c| &cells[*c]).collect();
         write!(points, "{k},{t_s},{},", values.join(","))?;
         match logged.log.at(t_s, &nalgebra::Vector3::zeros()) {
             Ok(motion) => {
@@ -75,8 +72,7 @@ fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep<'_>> {
         motion.display(),
         table.file
     );
-    let rows = table.rows.len();
-    Ok(Sweep { points, rows, object: args.object.as_deref(), sources: vec![table], left_out, without_pose })
+    Ok(Sweep { points, source: table, left_out, without_pose })
 }
 
 /// Writes the folder.
@@ -85,7 +81,8 @@ fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep<'_>> {
 /// Where a file cannot be used, by line and column; nothing is written then.
 pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     let sweep = of_tables(args)?;
-    let object = sweep.object.map(|mesh| Ok::<_, anyhow::Error>((mesh, Mesh::read(mesh)?))).transpose()?;
+    let object = args.object.as_deref().map(|mesh| Ok::<_, anyhow::Error>((mesh, Mesh::read(mesh)?)));
+    let object = object.transpose()?;
     if let Some(pose) = args.object_pose.as_ref().filter(|p| pose_of(p).is_none()) {
         bail!("--object-pose: expected x,y,z (mm) and a unit quaternion qw,qx,qy,qz, found {pose:?}");
     }
@@ -93,39 +90,20 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
         object.is_some() || args.object_pose.is_none(),
         "--object-pose: expected --object MESH.stl with it, found none"
     );
-
-    let id = description::identifier(args)?;
-    let text = |text: &str| Value::from(text);
-    let mut top: Table = [
-        ("format", text(SESSION_FORMAT)),
-        ("id", text(&id)),
-        ("kind", text(KIND)),
-        ("medium", text(description::MEDIUM)),
-    ]
-    .into_iter()
-    .chain([("created", text(&description::created()?))])
-    .map(|(key, value)| (key.to_owned(), value))
-    .collect();
-    let mut files: Table = [("points".to_owned(), text("points.csv"))].into_iter().collect();
-    if object.is_some() {
-        files.insert("object".to_owned(), text(OBJECT));
-    }
-    top.insert("files".to_owned(), Value::Table(files));
+    let files = [("points", "points.csv"), ("object", OBJECT)];
+    let files = if object.is_some() { &files[..] } else { &files[..1] };
+    let mut top = description::header(args, KIND, files)?;
     if let Some(pose) = &args.object_pose {
         let place = [("world_from_object", Value::from(pose.clone())), ("sd_mm", Value::from(PLACED_SD_MM))];
         let place = place.map(|(k, v)| (k.to_owned(), v)).into_iter().collect();
         top.insert("object".to_owned(), Value::Table(place));
     }
-    let mut provenance = description::provenance(&sweep.sources.iter().collect::<Vec<_>>());
-    let simulated = is_simulated(&args.file);
-    if simulated {
-        provenance.insert("simulated".to_owned(), Value::Boolean(true));
-    }
-    top.insert("provenance".to_owned(), Value::Table(provenance));
+    let (sources, simulated) = ([&sweep.source], is_simulated(&args.file));
+    top.insert("provenance".to_owned(), Value::Table(description::provenance(&sources, simulated)));
 
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
-    refuse_other_tables(&out, &sweep.sources.iter().collect::<Vec<_>>(), sweep.points.as_bytes())?;
-    out.put("points.csv", sweep.points);
+    refuse_other_tables(&out, &sources, sweep.points.as_bytes())?;
+    out.put("points.csv", sweep.points.clone());
     if let Some((mesh, _)) = &object {
         out.put(OBJECT, wcal_core::files::read(mesh).with_context(|| format!("reading {}", mesh.display()))?);
     }
@@ -134,38 +112,22 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     for (mesh, note) in object.iter().flat_map(|(mesh, read)| read.notes.iter().map(move |n| (mesh, n))) {
         eprintln!("{}: {note}", mesh.display());
     }
-    if !sweep.left_out.is_empty() {
-        eprintln!("columns not imported: {}", sweep.left_out.join(", "));
-    }
-    for remark in sweep.sources.iter().filter_map(TextTable::warning) {
-        eprintln!("{remark}");
-    }
-    let mut warnings = Vec::new();
-    if sweep.without_pose > 0 {
-        warnings.push(format!(
-            "the motion of {} of {} readings is not known: the log does not cover their times",
-            sweep.without_pose, sweep.rows
-        ));
-    }
-    if args.json {
-        let document = ImportDocument {
-            format: "wcal-import/1",
-            session: &id,
-            kind: KIND,
-            folder: &args.out,
-            simulated,
-            rows: sweep.rows,
-            holdout_rows: 0,
-            columns_left_out: &sweep.left_out,
-            warnings: &warnings,
-            inputs: &[],
-        };
-        println!("{}", serde_json::to_string_pretty(&document)?);
-    } else {
-        println!("{}: {} rows, sweep {id:?}{}", args.out.display(), sweep.rows, word(simulated));
-    }
-    for warning in &warnings {
-        eprintln!("warning: {warning}");
-    }
-    Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
+    let rows = sweep.source.rows.len();
+    let unknown = (sweep.without_pose > 0).then(|| {
+        let missing = sweep.without_pose;
+        format!("the motion of {missing} of {rows} readings is not known: the log does not cover their times")
+    });
+    let document = ImportDocument {
+        format: "wcal-import/1",
+        session: description::identifier(args)?,
+        kind: KIND.to_owned(),
+        folder: &args.out,
+        simulated,
+        rows,
+        holdout_rows: 0,
+        columns_left_out: sweep.left_out.clone(),
+        warnings: unknown.into_iter().collect(),
+        inputs: Vec::new(),
+    };
+    say(args, &document, &sources)
 }

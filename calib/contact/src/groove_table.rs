@@ -22,7 +22,7 @@ pub fn known_places(path: &Path) -> Result<Vec<KnownPlace>, ContactError> {
     let mut all = Vec::new();
     for (k, (line, cells)) in table.rows.iter().enumerate() {
         let number = |column| table.number(k, column);
-        if role.is_some_and(|c| cells[c] == "rest") {
+        if role.is_some_and(|c| &cells[c] == "rest") {
             continue;
         }
         if let (Some(t_s), Some(x), Some(y), Some(z)) = (number(time)?, number(x)?, number(y)?, number(z)?) {

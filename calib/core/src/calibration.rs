@@ -33,7 +33,7 @@ pub struct CalibrationFrame {
     /// +1: moment = r x F acting on the base; -1: its reaction.
     pub moment_sign: f64,
     /// Way of the base past an object at rest that a network takes for the one of its training: against the wire's bend. Base frame.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Option<[f64; 3]>")]
     pub sweep_direction: Option<Vector3<f64>>,
 }
@@ -72,22 +72,22 @@ pub struct CalibrationFile<M> {
     pub model: M,
     /// What made it.
     pub provenance: Provenance,
-    /// The wire that it was made with; absent in older files and where there is none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// The wire that it was made with; absent where there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub whisker: Option<WhiskerSpec>,
     /// Map U to contact U: what the uncertainty of this calibration and of its readings makes of a contact whose motion is known; absent
     /// where verify did not track the groove.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub contact_uncertainty: Option<CalibrationContact>,
     /// Frame of the session: what turns the calibration's moments and a sweep's motion into the frame of the wire; absent: moments about y and
     /// z.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub frame: Option<CalibrationFrame>,
     /// What the errors of the moments are made of: standard deviations, N mm; null: not known. Absent where there is no whisker.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub noise: Option<CalibrationNoise>,
-    /// SHA-256 over the compact JSON of `session`, `verification`, `expires`, `model`, `provenance` and, where they are there, `whisker` and
-    /// `contact_uncertainty` (then with `null` for a whisker that is not) and `frame` or `noise` (then with `null` for what is not); tampering changes it.
+    /// SHA-256 over the compact JSON of the list `session`, `verification`, `expires`, `model`, `provenance`, and of a whisker `whisker`,
+    /// `contact_uncertainty`, `frame`, `noise` with `null` for what is not there. Tampering changes it.
     #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub content_sha256: String,
 }
@@ -98,20 +98,12 @@ impl<M: Serialize> CalibrationFile<M> {
     /// # Errors
     /// Where the model cannot be written as JSON.
     pub fn compute_hash(&self) -> Result<String, serde_json::Error> {
-        let model = serde_json::to_value(&self.model)?;
-        let old = (&self.session, &self.verification, &self.expires, model, &self.provenance);
-        // Files from before the whisker, the contact's uncertainty and the frame keep their hash.
-        let body = match (&self.whisker, &self.contact_uncertainty, (&self.frame, &self.noise)) {
-            (None, None, (None, None)) => serde_json::to_vec(&old)?,
-            (Some(whisker), None, (None, None)) => {
-                serde_json::to_vec(&(old.0, old.1, old.2, old.3, old.4, whisker))?
-            }
-            (whisker, Some(contact), (None, None)) => {
-                serde_json::to_vec(&(old.0, old.1, old.2, old.3, old.4, whisker, contact))?
-            }
-            (whisker, contact, (frame, noise)) => {
-                serde_json::to_vec(&(old.0, old.1, old.2, old.3, old.4, whisker, contact, frame, noise))?
-            }
+        let (session, model, made) = (&self.session, &self.model, &self.provenance);
+        let (judged, until, wire, noise) = (&self.verification, &self.expires, &self.whisker, &self.noise);
+        let (contact, frame) = (&self.contact_uncertainty, &self.frame);
+        let body = match (wire, contact, frame, noise) {
+            (None, None, None, None) => serde_json::to_vec(&(session, judged, until, model, made))?,
+            _ => serde_json::to_vec(&(session, judged, until, model, made, wire, contact, frame, noise))?,
         };
         Ok(crate::provenance::sha256_hex(&body))
     }
@@ -152,22 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn the_hash_covers_the_whisker_and_that_of_older_files_stays() {
-        let old = file(None);
-        let body = serde_json::to_vec(&("s", "verified", None::<()>, 7, &old.provenance)).unwrap();
-        assert_eq!(old.compute_hash().unwrap(), crate::provenance::sha256_hex(&body));
-        assert!(!serde_json::to_string(&old).unwrap().contains("whisker"));
-        let with = file(Some(whisker()));
-        let thinner = file(Some(WhiskerSpec { diameter_mm: 0.29, ..whisker() }));
-        let hashes = [&old, &with, &thinner].map(|f| f.compute_hash().unwrap());
-        assert!(hashes[0] != hashes[1] && hashes[1] != hashes[2], "{hashes:?}");
-        let again: CalibrationFile<u8> =
-            serde_json::from_str(&serde_json::to_string(&with).unwrap()).unwrap();
-        assert_eq!(again.compute_hash().unwrap(), hashes[1]);
-    }
-
-    #[test]
-    fn the_hash_covers_the_uncertainty_of_the_contact_and_that_of_older_files_stays() {
+    fn the_hash_covers_every_part_and_survives_being_written() {
         let row = ContactUncertainty {
             arclength_mm: 23.0,
             trajectories: 4,
@@ -176,58 +153,45 @@ mod tests {
             contact_u_by_map_mm: 0.02,
             contact_u_mm: 0.22,
         };
-        let contact = CalibrationContact {
-            coverage_factor: 2.0,
+        let contact = |factor: f64, contact_u_mm: f64| CalibrationContact {
+            coverage_factor: factor,
             method: "m".to_owned(),
             split: "fit".to_owned(),
-            rows: vec![row],
+            rows: vec![ContactUncertainty { contact_u_mm, ..row }],
         };
-        let old = file(Some(whisker()));
-        // What was hashed before the field was there.
-        let body =
-            serde_json::to_vec(&("s", "verified", None::<()>, 7, &old.provenance, &old.whisker)).unwrap();
-        assert_eq!(old.compute_hash().unwrap(), crate::provenance::sha256_hex(&body));
-        assert!(!serde_json::to_string(&old).unwrap().contains("contact_uncertainty"));
-        let with = |contact: &CalibrationContact| CalibrationFile {
-            contact_uncertainty: Some(contact.clone()),
-            ..old.clone()
-        };
-        let hash = with(&contact).compute_hash().unwrap();
-        let smaller = CalibrationContact {
-            rows: vec![ContactUncertainty { contact_u_mm: 0.21, ..row }],
-            ..contact.clone()
-        };
-        let other_factor = CalibrationContact { coverage_factor: 1.0, ..contact.clone() };
-        for changed in [&smaller, &other_factor] {
-            assert_ne!(with(changed).compute_hash().unwrap(), hash);
-        }
-        assert_ne!(hash, old.compute_hash().unwrap());
-        let text = serde_json::to_string(&with(&contact)).unwrap();
-        let again: CalibrationFile<u8> = serde_json::from_str(&text).unwrap();
-        assert_eq!(again.compute_hash().unwrap(), hash);
-    }
-
-    #[test]
-    fn the_hash_covers_the_frame_and_that_of_older_files_stays() {
-        let old = file(Some(whisker()));
-        let text = serde_json::to_string(&old).unwrap();
-        assert!(!text.contains("frame"), "{text}");
-        let frame = CalibrationFrame {
+        let frame = |moment_sign: f64| CalibrationFrame {
             rest_shape: whisker().rest_shape,
             moment_axes: [Vector3::x(), Vector3::z()],
-            moment_sign: -1.0,
+            moment_sign,
             sweep_direction: None,
         };
-        let with = |frame: &CalibrationFrame| CalibrationFile { frame: Some(frame.clone()), ..old.clone() };
-        let other = CalibrationFrame { moment_sign: 1.0, ..frame.clone() };
-        let hashes = [old.clone(), with(&frame), with(&other)].map(|f| f.compute_hash().unwrap());
-        assert!(hashes[0] != hashes[1] && hashes[1] != hashes[2], "{hashes:?}");
         let noise = CalibrationNoise { reading_sd_nmm: Some([0.01, 0.02]), ..CalibrationNoise::default() };
-        let noisy = CalibrationFile { noise: Some(noise), ..with(&frame) };
-        assert_ne!(noisy.compute_hash().unwrap(), hashes[1]);
-        let again: CalibrationFile<u8> =
-            serde_json::from_str(&serde_json::to_string(&with(&frame)).unwrap()).unwrap();
-        assert_eq!(again.compute_hash().unwrap(), hashes[1]);
+        let with = file(Some(whisker()));
+        let of = |contact: CalibrationContact| CalibrationFile {
+            contact_uncertainty: Some(contact),
+            ..with.clone()
+        };
+        let framed = |sign: f64| CalibrationFile { frame: Some(frame(sign)), ..with.clone() };
+        let all = [
+            file(None),
+            with.clone(),
+            file(Some(WhiskerSpec { diameter_mm: 0.29, ..whisker() })),
+            of(contact(2.0, 0.22)),
+            of(contact(2.0, 0.21)),
+            of(contact(1.0, 0.22)),
+            framed(1.0),
+            framed(-1.0),
+            CalibrationFile { noise: Some(noise), ..framed(1.0) },
+        ];
+        let hashes: std::collections::BTreeSet<String> =
+            all.iter().map(|f| f.compute_hash().unwrap()).collect();
+        assert_eq!(hashes.len(), all.len());
+        for file in all {
+            let text = serde_json::to_string(&file).unwrap();
+            let again: CalibrationFile<u8> = serde_json::from_str(&text).unwrap();
+            assert_eq!(again.compute_hash().unwrap(), file.compute_hash().unwrap());
+            assert_eq!(text.contains("\"whisker\""), file.whisker.is_some());
+        }
     }
 
     #[test]

@@ -48,27 +48,9 @@ pub enum DeviceErrorKind {
 }
 
 impl DeviceErrorKind {
-    /// The name used in sessions and reports, e.g. `not-homed`.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Timeout => "timeout",
-            Self::Disconnected => "disconnected",
-            Self::Protocol => "protocol",
-            Self::Rejected => "rejected",
-            Self::NotHomed => "not-homed",
-            Self::Stalled => "stalled",
-            Self::Displaced => "displaced",
-            Self::DriverOff => "driver-off",
-            Self::CriticalFault => "critical-fault",
-            Self::OutOfRange => "out-of-range",
-            Self::DataInvalid => "data-invalid",
-            Self::PeakLost => "peak-lost",
-            Self::Health => "health",
-            Self::Clock => "clock",
-            Self::Unsupported => "unsupported",
-            Self::Interrupted => "interrupted",
-            Self::Configuration => "configuration",
-        }
+    /// The name used in sessions and reports, e.g. `not-homed`: as it is written to files.
+    pub fn name(self) -> String {
+        serde_json::to_value(self).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
     }
 
     /// Whether the same request may succeed when it is sent again.

@@ -39,25 +39,9 @@ pub fn open(path: impl AsRef<Path>) -> io::Result<fs::File> {
     if kind.is_file() {
         return fs::File::open(path);
     }
-    let found = if kind.is_dir() { "a folder" } else { other_kind(kind) };
+    let found =
+        if kind.is_dir() { "a folder" } else { "a device or a pipe (save what comes out of it as a file)" };
     Err(io::Error::new(io::ErrorKind::InvalidInput, format!("expected a file, found {found}")))
-}
-
-#[cfg(unix)]
-fn other_kind(kind: fs::FileType) -> &'static str {
-    use std::os::unix::fs::FileTypeExt;
-    if kind.is_fifo() {
-        "a pipe (save what comes out of it as a file first)"
-    } else if kind.is_socket() {
-        "a socket"
-    } else {
-        "a device"
-    }
-}
-
-#[cfg(not(unix))]
-fn other_kind(_: fs::FileType) -> &'static str {
-    "a device"
 }
 
 /// Reads a regular file of at most [`MAX_BYTES`] whole.

@@ -66,7 +66,7 @@ pub struct MapDocument {
     /// Every candidate.
     pub candidates: Vec<MapCandidate>,
     /// Readings at rest, tested by the map of the loaded poses alone; absent where there are none, or too few loaded ones.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub rest: Option<RestZero>,
     /// How well the readings determine the moments.
     pub identifiability: Identifiability,

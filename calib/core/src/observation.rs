@@ -213,6 +213,7 @@ pub struct FbgSpec {
     /// Temperature coefficient of the reference grating, pm per degree.
     pub reference_temperature_pm_per_degc: Option<f64>,
     /// The readings are already compensated.
+    #[serde(default)]
     pub temperature_compensated: bool,
 }
 

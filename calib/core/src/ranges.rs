@@ -180,11 +180,6 @@ pub fn check(document: &impl Numbers, ranges: &[&[Range]]) -> Result<(), OutOfRa
     })
 }
 
-/// The range of a key: the first that fits.
-pub fn range_of<'a>(key: &str, ranges: &'a [Range]) -> Option<&'a Range> {
-    ranges.iter().find(|range| range.fits(key))
-}
-
 /// The same of a value in memory; what no document can hold is not judged.
 ///
 /// # Errors

@@ -69,13 +69,12 @@ pub struct GrooveDocument {
     #[serde(default)]
     pub distance_from_vertex_mm: f64,
     /// Where the groove's flanks meet, base frame, mm; none where the wire is not deflected enough to tell the push's direction.
-    #[serde(default)]
     pub apex_mm: Option<[f64; 3]>,
     /// Vertex position by the rig tag alone, base frame, mm.
     #[serde(default)]
     pub by_tag_mm: [f64; 3],
-    /// Covariance of the position, base frame, mm^2, shared errors included; absent in files from before it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Covariance of the position, base frame, mm^2, shared errors included.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub covariance_mm2: Option<[[f64; 3]; 3]>,
 }
 
@@ -92,18 +91,16 @@ pub struct SharedParameter {
 
 /// What one error does to a pair's observations: a standard deviation of it (own errors) or a unit of it (shared parameters).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct ErrorColumn {
     /// Displacement of the centre line at each of [`PairErrors::stations`], base frame, mm (a unit).
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub centreline_mm: Vec<[f64; 3]>,
     /// Displacement of [`GrooveDocument::position_mm`], mm (a unit); zero without groove.
-    #[serde(default)]
     pub groove_mm: [f64; 3],
     /// Change of [`GrooveDocument::contact_arclength_mm`], mm (a unit).
-    #[serde(default)]
     pub contact_arclength_mm: f64,
     /// Change of [`PairDocument::length_mm`], mm (a unit).
-    #[serde(default)]
     pub length_mm: f64,
 }
 
@@ -124,15 +121,14 @@ pub struct PairErrors {
 
 /// What the shapes were made from: verified before they are used with other data.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct ShapesSource {
     /// SHA-256 of the file of the cameras; of all files in order where there are several; empty where it was not stated.
-    #[serde(default)]
     pub cameras_sha256: String,
     /// SHA-256 of the rig's tables `whisker`, `tags` and `groove` as canonical JSON; empty where it was not stated.
-    #[serde(default)]
     pub rig_sha256: String,
     /// `id` of the session whose pictures they are; none outside a session.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub session: Option<String>,
 }
 
@@ -160,6 +156,7 @@ pub struct SharedError {
 
 /// One pair.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct PairDocument {
     /// Name.
     pub name: String,
@@ -167,47 +164,35 @@ pub struct PairDocument {
     #[schemars(extend("enum" = ["ok", "rejected"]))]
     pub status: String,
     /// Reason of a rejection.
-    #[serde(default)]
     pub why: String,
     /// Point of the session whose pose it shows; null where the pictures belong to none.
-    #[serde(default)]
     pub point: Option<i64>,
     /// 4 x 4, mm: takes base coordinates to the left camera's; empty where the base is not seen.
-    #[serde(default)]
     pub left_from_base: Vec<[f64; 4]>,
     /// Tags seen.
-    #[serde(default)]
     pub tags: Vec<TagDocument>,
     /// Centre line from root to tip, base frame, mm.
-    #[serde(default)]
     pub centreline_mm: Vec<[f64; 3]>,
     /// Standard deviation across the line: the 95 % radius in the plane across it, over 2.4477.
-    #[serde(default)]
     pub centreline_sd_mm: Vec<f64>,
     /// Length, mm.
-    #[serde(default)]
     pub length_mm: f64,
     /// Standard deviation of the length, mm.
-    #[serde(default)]
     pub length_sd_mm: f64,
     /// Independent errors that all pairs share, in the same order for every pair: the cameras' calibration, largest part first, the whole
     /// line (uneven light), and the form of the wire's end. They are in the standard deviations above too.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub shared_errors: Vec<SharedError>,
-    /// Errors of the observations, a pair's own and shared ones; absent in files from before them and for pairs that were rejected.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Errors of the observations, a pair's own and shared ones; absent for pairs that were rejected.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub errors: Option<PairErrors>,
     /// Stretches not seen.
-    #[serde(default)]
     pub gaps: Vec<Gap>,
     /// The groove's contact; null where the rig tag is not seen.
-    #[serde(default)]
     pub groove: Option<GrooveDocument>,
     /// RMS distance of the measured pieces from the reprojected curve, left and right, px.
-    #[serde(default)]
     pub residual_rms_px: [f64; 2],
     /// Remarks.
-    #[serde(default)]
     pub warnings: Vec<String>,
 }
 

@@ -69,11 +69,10 @@ pub fn utf8(bytes: &[u8]) -> Result<&str, NotUtf8> {
 }
 
 /// Bytes that are text, and not in UTF-8.
-pub const LATIN_1: NotUtf8 =
-    NotUtf8 { found: "text in Latin-1 or Windows-1252", way_out: SAVE, is_text: true };
+const LATIN_1: NotUtf8 = NotUtf8 { found: "text in Latin-1 or Windows-1252", way_out: SAVE, is_text: true };
 const UTF_16: &str = "UTF-16 text";
 
-/// Text in the encoding that its bytes have (UTF-8, UTF-16, else Latin-1 with what Windows-1252 adds), and which it is where it is not UTF-8.
+/// Text in the encoding that its bytes have (UTF-8, UTF-16, else Windows-1252, which has all of Latin-1), and which it is where it is not UTF-8.
 ///
 /// # Errors
 /// What the bytes are that are no text.
@@ -82,38 +81,19 @@ pub fn decoded(bytes: &[u8]) -> Result<(String, Option<&'static str>), NotUtf8> 
         Ok(text) => return Ok((text.to_owned(), None)),
         Err(other) => other,
     };
-    match other {
-        NotUtf8 { is_text: false, .. } => Err(other),
-        NotUtf8 { found: UTF_16, .. } => Ok((utf16(bytes)?, Some(UTF_16))),
-        _ => Ok((bytes.iter().map(|byte| latin1(*byte)).collect(), Some(other.found))),
-    }
-}
-
-fn utf16(bytes: &[u8]) -> Result<String, NotUtf8> {
-    let (bytes, big) = match bytes {
-        [0xfe, 0xff, rest @ ..] => (rest, true),
-        [0xff, 0xfe, rest @ ..] => (rest, false),
-        _ => (bytes, false),
+    let (text, damaged) = match other {
+        NotUtf8 { is_text: false, .. } => return Err(other),
+        NotUtf8 { found: UTF_16, .. } if bytes.starts_with(&[0xfe, 0xff]) => {
+            encoding_rs::UTF_16BE.decode_with_bom_removal(bytes)
+        }
+        NotUtf8 { found: UTF_16, .. } => encoding_rs::UTF_16LE.decode_with_bom_removal(bytes),
+        _ => encoding_rs::WINDOWS_1252.decode_without_bom_handling(bytes),
     };
-    let wide = if big { u16::from_be_bytes } else { u16::from_le_bytes };
-    let units = bytes.chunks_exact(2).map(|pair| wide([pair[0], pair[1]]));
-    let odd = NotUtf8 { found: "UTF-16 text that is cut or damaged", way_out: SAVE, is_text: false };
-    let text = char::decode_utf16(units).collect::<Result<_, _>>().map_err(|_| odd)?;
-    if bytes.len() % 2 == 0 { Ok(text) } else { Err(odd) }
-}
-
-/// A byte as a character; 0x80 to 0x9f are control characters in Latin-1 and signs in Windows-1252.
-fn latin1(byte: u8) -> char {
-    const WINDOWS: [char; 32] = [
-        '\u{20ac}', '\u{81}', '\u{201a}', '\u{192}', '\u{201e}', '\u{2026}', '\u{2020}', '\u{2021}',
-        '\u{2c6}', '\u{2030}', '\u{160}', '\u{2039}', '\u{152}', '\u{8d}', '\u{17d}', '\u{8f}', '\u{90}',
-        '\u{2018}', '\u{2019}', '\u{201c}', '\u{201d}', '\u{2022}', '\u{2013}', '\u{2014}', '\u{2dc}',
-        '\u{2122}', '\u{161}', '\u{203a}', '\u{153}', '\u{9d}', '\u{17e}', '\u{178}',
-    ];
-    match byte {
-        0x80..=0x9f => WINDOWS[usize::from(byte - 0x80)],
-        _ => char::from(byte),
+    if damaged {
+        let found = "UTF-16 text that is cut or damaged";
+        return Err(NotUtf8 { found, way_out: SAVE, is_text: false });
     }
+    Ok((text.into_owned(), Some(other.found)))
 }
 
 #[cfg(test)]

@@ -24,7 +24,7 @@ pub use sweep::{SurfaceDistance, SweepExplanation, SweepJudgement};
 pub const VERIFY_FORMAT: &str = "wcal-verify/1";
 
 /// What the residual loop concluded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
     /// Nothing beyond noise is left.
@@ -38,19 +38,19 @@ pub enum Verdict {
     /// The twin's labels were faulty; repaired, nothing else is found.
     TwinFault,
     /// The data cannot be used.
+    #[default]
     Refused,
 }
 
 /// What the residual loop found in a session.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct VerifyDocument {
     /// Format and version.
     #[schemars(extend("const" = VERIFY_FORMAT))]
     pub format: String,
     /// Identifier of the session.
     pub session: String,
-    /// The session, or one that it was joined with, is simulated; absent in files from before the mark.
-    #[serde(default)]
+    /// The session, or one that it was joined with, is simulated.
     pub simulated: bool,
     /// `whisker`, `transducer` or `axis`.
     #[schemars(extend("enum" = ["whisker", "transducer", "axis"]))]
@@ -70,10 +70,8 @@ pub struct VerifyDocument {
     /// What a new reading at a new pose can reach.
     pub noise_floor: NoiseFloor,
     /// The noise in parts, null where the design cannot tell.
-    #[serde(default)]
     pub noise: Option<NoiseDocument>,
     /// Readings that no tails of the noise explain, left out of the fit.
-    #[serde(default)]
     pub flagged: Vec<FlaggedReading>,
     /// Held-out error of the declared model.
     pub before: Option<HeldOutError>,
@@ -81,7 +79,7 @@ pub struct VerifyDocument {
     pub after: Option<HeldOutError>,
     /// Held-out error of the accepted model without sealed readings far outside the noise; absent where there is none. Where it stands, the
     /// exit code is 3.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub after_trimmed: Option<HeldOutError>,
     /// Share of the stated 95 % intervals that hold the held-out value.
     #[schemars(range(min = 0, max = 1))]
@@ -95,28 +93,27 @@ pub struct VerifyDocument {
     /// Files read.
     pub inputs: Vec<InputFile>,
     /// Remarks: what was absent, what was marked and kept.
-    #[serde(default)]
     pub notes: Vec<String>,
     /// What each accepted effect is worth; absent without one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub leave_one_effect_out: Vec<EffectAblation>,
     /// How a given calibration does on readings that were not in its fit; absent without `--calibration`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationJudgement>,
     /// Where the tracker by known motion puts the groove through the accepted calibration (whisker); absent where it was not tracked.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub groove_tracking: Option<GrooveTracking>,
     /// What a sweep over a known object says of the explanations (`--sweep`, whisker): how near the contacts that the moments allow come to
     /// the object.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub sweep: Option<SweepJudgement>,
     /// Which witness decided for the accepted effects, by the gain that each gives: `wavelengths`, `pictures` or `both`; absent without
     /// pictures or effects.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(extend("enum" = ["wavelengths", "pictures", "both"]))]
     pub witness: Option<String>,
     /// The pictures as a second source of data; absent without them.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub pictures: Option<SecondWitness>,
 }
 
@@ -131,32 +128,11 @@ impl VerifyDocument {
         Self {
             format: VERIFY_FORMAT.to_owned(),
             session: session.into(),
-            simulated: false,
             kind: kind.into(),
-            verdict: Verdict::Refused,
             reason: reason.into(),
-            twin: TwinCheck::default(),
-            effects: Vec::new(),
-            alternatives: Vec::new(),
-            unknown: None,
             noise_floor: NoiseFloor { source: "none".into(), ..NoiseFloor::default() },
-            noise: None,
-            flagged: Vec::new(),
-            before: None,
-            after: None,
-            after_trimmed: None,
-            coverage95: None,
-            next_measurement: None,
-            detectable: Vec::new(),
             seed,
-            inputs: Vec::new(),
-            notes: Vec::new(),
-            leave_one_effect_out: Vec::new(),
-            calibration: None,
-            groove_tracking: None,
-            sweep: None,
-            witness: None,
-            pictures: None,
+            ..Self::default()
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::error::{InputError, SessionError, quote};
 use std::path::Path;
-use toml::{Table, Value};
+use toml_edit::{DocumentMut, TomlError, table, value};
 use wcal_core::files::write_atomic;
 
 /// Sets texts of `session.toml` by table and key, e.g. `("files", "shapes", "shapes.json")`, in one step.
@@ -11,48 +11,20 @@ use wcal_core::files::write_atomic;
 /// Where the file cannot be read or written, is no TOML, or has something else where a table must be.
 pub fn set_entries(folder: &Path, entries: &[(&str, &str, &str)]) -> Result<(), SessionError> {
     let path = folder.join("session.toml");
-    let io = |e| SessionError::io("reading", &path, e);
-    let mut text = wcal_core::files::read_text(&path).map_err(io)?;
-    let wrong = |e: toml::de::Error| InputError::new("session.toml", "TOML", e.message().to_owned());
-    let mut content: Table = text.parse().map_err(wrong)?;
-    for (table, key, value) in entries {
-        let held = content.entry(*table).or_insert_with(|| Value::Table(Table::new()));
-        let Some(held) = held.as_table_mut() else {
-            let found = quote(&held.to_string());
-            return Err(InputError::new("session.toml", format!("a table [{table}]"), found)
-                .field(*table)
+    let text = wcal_core::files::read_text(&path).map_err(|e| SessionError::io("reading", &path, e))?;
+    let wrong = |e: TomlError| InputError::new("session.toml", "TOML", e.message().to_owned());
+    let mut content: DocumentMut = text.parse().map_err(wrong)?;
+    for (name, key, entry) in entries {
+        let held = content.entry(name).or_insert_with(table);
+        let found = quote(held.to_string().trim());
+        let Some(held) = held.as_table_like_mut() else {
+            return Err(InputError::new("session.toml", format!("a table [{name}]"), found)
+                .field(*name)
                 .into());
         };
-        held.insert((*key).to_owned(), Value::String((*value).to_owned()));
-        text = with_line(&text, table, key, value);
+        held.insert(key, value(*entry));
     }
-    // Tables can be written in many ways: where a new line did not say what it should, the whole file is written anew.
-    if text.parse::<Table>().ok().as_ref() != Some(&content) {
-        text = toml::to_string(&content)
-            .map_err(|e| InputError::new("session.toml", "content that TOML can hold", e.to_string()))?;
-    }
-    Ok(write_atomic(&path, text.as_bytes())?)
-}
-
-/// The text with `key = "value"` in `[table]`: in place of an earlier line, or at the end of the table.
-fn with_line(text: &str, table: &str, key: &str, value: &str) -> String {
-    let line = format!("{key} = {}", Value::String(value.to_owned()));
-    let mut lines: Vec<&str> = text.lines().collect();
-    let head = format!("[{table}]");
-    let Some(begin) = lines.iter().position(|l| l.trim() == head) else {
-        return format!("{}\n\n{head}\n{line}\n", text.trim_end());
-    };
-    let end =
-        (begin + 1..lines.len()).find(|k| lines[*k].trim_start().starts_with('[')).unwrap_or(lines.len());
-    let sets = |l: &str| l.split_once('=').is_some_and(|(name, _)| name.trim() == key);
-    match (begin + 1..end).find(|k| sets(lines[*k])) {
-        Some(k) => lines[k] = &line,
-        None => {
-            let last = (begin..end).rfind(|k| !lines[*k].trim().is_empty()).unwrap_or(begin);
-            lines.insert(last + 1, &line);
-        }
-    }
-    lines.join("\n") + "\n"
+    Ok(write_atomic(&path, content.to_string().as_bytes())?)
 }
 
 #[cfg(test)]
@@ -80,7 +52,7 @@ mod tests {
         set_entries(place.path(), &[("files", "shapes", "other.json")]).unwrap();
         let again = std::fs::read_to_string(&path).unwrap();
         assert_eq!(again, after.replace("shapes.json", "other.json"));
-        // Inline, dotted and many-line ways of writing lose their layout, never content.
+        // Whichever way the tables are written.
         for text in [
             "id = \"a\"\nfiles = { points = \"points.csv\" }\n",
             "id = \"a\"\nfiles.points = \"points.csv\"\n",

@@ -90,19 +90,11 @@ impl fmt::Display for InputError {
 
 impl std::error::Error for InputError {}
 
-/// The error of a file that is no UTF-8 text.
-pub(crate) fn not_utf8(file: &str, found: NotUtf8) -> InputError {
-    InputError::new(file, "UTF-8 text", found.found).hint(found.way_out)
-}
-
-/// The same of a table, which an import may read.
-pub(crate) fn not_utf8_table(file: &str, found: NotUtf8) -> InputError {
-    let error = not_utf8(file, found);
-    if found.is_text {
-        error.hint(format!("{}; wcal import reads it as it is", found.way_out))
-    } else {
-        error
-    }
+/// The error of a file that is no UTF-8 text, with the line where it ends to be some.
+pub(crate) fn not_utf8(file: &str, bytes: &[u8], found: NotUtf8) -> InputError {
+    let valid = std::str::from_utf8(bytes).map_or_else(|e| e.valid_up_to(), str::len);
+    let line = 1 + bytes[..valid].iter().filter(|b| **b == b'\n').count();
+    InputError::new(file, "UTF-8 text", found.found).at(line).hint(found.way_out)
 }
 
 /// Columns of a table as listed in messages: the first of them, and how many there are.

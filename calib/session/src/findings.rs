@@ -4,7 +4,7 @@ use crate::session::LoadedSession;
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use wcal_core::{AxisData, Role, SessionData, TransducerData, WhiskerData};
+use wcal_core::{AxisRow, Role, SessionData, TransducerRow, WhiskerData, WhiskerRow};
 
 /// How much a finding matters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, JsonSchema)]
@@ -25,237 +25,153 @@ pub enum Severity {
 pub struct Finding {
     /// How much it matters.
     pub severity: Severity,
-    /// What was checked, e.g. `rows`, `columns`, `noise`, `time`, `duplicates`, `holdout`.
+    /// What was checked: `rows`, `trajectories`, `columns`, `noise`, `holdout`, `time` or `files`.
     pub topic: String,
     /// One plain sentence.
     pub message: String,
 }
 
+/// A quantity, whether it is there, and the effects that need it.
+type Quantity = (&'static str, bool, &'static str);
+
+/// What the checks ask of a row: readings of one pose ought to agree but for noise.
+struct Seen {
+    role: Role,
+    pose: Vec<u64>,
+}
+
+impl Seen {
+    fn new(role: Role, pose: &[f64]) -> Self {
+        Self { role, pose: pose.iter().map(|v| v.to_bits()).collect() }
+    }
+}
+
 /// Finds what deserves saying about a session that [`crate::load`] accepted.
 pub fn examine(session: &LoadedSession) -> Vec<Finding> {
-    let mut list = Findings::default();
-    let columns = match &session.data {
-        SessionData::Whisker(data) => whisker_columns(data),
-        SessionData::Transducer(data) => transducer_columns(data),
-        SessionData::Axis(data) => axis_columns(data),
+    let mut list = Vec::new();
+    let mut add = |severity, topic: &str, message: String| {
+        list.push(Finding { severity, topic: topic.to_owned(), message });
     };
-    counts(session, &mut list);
-    for column in columns {
-        if column.present {
-            list.add(Severity::Ok, "columns", format!("{} is present", column.name));
-        } else {
-            list.add(
-                Severity::Note,
-                "columns",
-                format!("{} is absent: {} cannot be traced", column.name, column.hides),
-            );
+    let (rows, sealed, columns) = match &session.data {
+        SessionData::Whisker(data) => {
+            let pose = |r: &WhiskerRow| {
+                let g = r.groove_mm.unwrap_or_default();
+                let [direction, speed] = [r.direction, r.speed_mm_s].map(|v| v.unwrap_or(0.0));
+                Seen::new(r.role, &[g.x, g.y, g.z, direction, speed])
+            };
+            (data.rows.iter().map(pose).collect::<Vec<_>>(), data.holdout.len(), whisker_columns(data))
         }
-    }
-    noise(&session.data, &mut list);
-    time(session, &mut list);
-    sealed(&session.data, &mut list);
-    for warning in session.warnings.iter().filter(|w| !w.is_clock_problem()) {
-        let severity = if warning.is_remark() { Severity::Note } else { Severity::Warn };
-        list.add(severity, "files", warning.to_string());
-    }
-    list.0
-}
-
-#[derive(Default)]
-struct Findings(Vec<Finding>);
-
-impl Findings {
-    fn add(&mut self, severity: Severity, topic: &str, message: String) {
-        self.0.push(Finding { severity, topic: topic.to_owned(), message });
-    }
-}
-
-/// A quantity and the effects that need it.
-struct RequiredQuantity {
-    name: &'static str,
-    present: bool,
-    hides: &'static str,
-}
-
-fn needed(name: &'static str, present: bool, hides: &'static str) -> RequiredQuantity {
-    RequiredQuantity { name, present, hides }
-}
-
-fn whisker_columns(data: &WhiskerData) -> Vec<RequiredQuantity> {
-    let rows = &data.rows;
-    let unloading = rows.iter().any(|r| r.direction == Some(-1.0));
-    let moving = rows.iter().any(|r| r.speed_mm_s.is_some_and(|v| v > 0.0));
-    let reference = rows.iter().any(|r| r.reference_shift_pm.is_some());
-    let thermometer = rows.iter().any(|r| r.temperature_degc.is_some());
-    vec![
-        needed("stage_mm", rows.iter().any(|r| r.stage_mm.is_some()), "stage-scale, stage-periodic"),
-        needed("unloading (direction -1)", unloading, "stage-backlash, hysteresis"),
-        needed("a moving row (speed_mm_s above 0)", moving, "time-lag"),
-        needed("t_s", rows.iter().any(|r| r.t_s.is_some()), "zero-drift, creep"),
-        needed("dwell_s", rows.iter().any(|r| r.dwell_s.is_some()), "creep within a dwell"),
-        needed(
-            "a temperature (fbg_ref_* or temperature_degc)",
-            reference || thermometer,
-            "temperature-mismatch",
-        ),
-        needed("[whisker] gravity_direction", data.whisker.gravity_direction.is_some(), "gravity"),
-    ]
-}
-
-fn transducer_columns(data: &TransducerData) -> Vec<RequiredQuantity> {
-    let rows = &data.rows;
-    vec![
-        needed("t_s", rows.iter().any(|r| r.t_s.is_some()), "drift, creep, lag and step in time"),
-        needed("direction", rows.iter().any(|r| r.direction.is_some()), "hysteresis, backlash"),
-        needed("temperature_degc", rows.iter().any(|r| r.temperature_degc.is_some()), "temperature"),
-        needed("a further covariate", !data.covariates.is_empty(), "cross-axis"),
-    ]
-}
-
-fn axis_columns(data: &AxisData) -> Vec<RequiredQuantity> {
-    let rows = &data.rows;
-    vec![
-        needed("t_s", rows.iter().any(|r| r.t_s.is_some()), "drift, creep, lag and step in time"),
-        needed("direction", rows.iter().any(|r| r.direction.is_some()), "backlash, hysteresis"),
-        needed("cycle", rows.iter().any(|r| r.cycle.is_some()), "changes from stroke to stroke"),
-        needed("temperature_degc", rows.iter().any(|r| r.temperature_degc.is_some()), "temperature"),
-    ]
-}
-
-fn role_name(role: Role) -> &'static str {
-    match role {
-        Role::Rest => "rest",
-        Role::Calibration => "calibration",
-        Role::Verification => "verification",
-        Role::Holdout => "holdout",
-    }
-}
-
-fn counts(session: &LoadedSession, list: &mut Findings) {
-    let (roles, holdout): (Vec<Role>, usize) = match &session.data {
-        SessionData::Whisker(d) => (d.rows.iter().map(|r| r.role).collect(), d.holdout.len()),
-        SessionData::Transducer(d) => (d.rows.iter().map(|r| r.role).collect(), d.holdout.len()),
-        SessionData::Axis(d) => (d.rows.iter().map(|r| r.role).collect(), d.holdout.len()),
+        SessionData::Transducer(data) => {
+            let rows = &data.rows;
+            let pose = |r: &TransducerRow| Seen::new(r.role, &[r.stimulus, r.direction.unwrap_or(0.0)]);
+            let columns = vec![
+                ("t_s", rows.iter().any(|r| r.t_s.is_some()), "drift, creep, lag and step in time"),
+                ("direction", rows.iter().any(|r| r.direction.is_some()), "hysteresis, backlash"),
+                ("temperature_degc", rows.iter().any(|r| r.temperature_degc.is_some()), "temperature"),
+                ("a further covariate", !data.covariates.is_empty(), "cross-axis"),
+            ];
+            (rows.iter().map(pose).collect(), data.holdout.len(), columns)
+        }
+        SessionData::Axis(data) => {
+            let rows = &data.rows;
+            let pose = |r: &AxisRow| Seen::new(r.role, &[r.commanded_mm, r.direction.unwrap_or(0.0)]);
+            let columns = vec![
+                ("t_s", rows.iter().any(|r| r.t_s.is_some()), "drift, creep, lag and step in time"),
+                ("direction", rows.iter().any(|r| r.direction.is_some()), "backlash, hysteresis"),
+                ("cycle", rows.iter().any(|r| r.cycle.is_some()), "changes from stroke to stroke"),
+                ("temperature_degc", rows.iter().any(|r| r.temperature_degc.is_some()), "temperature"),
+            ];
+            (rows.iter().map(pose).collect(), data.holdout.len(), columns)
+        }
     };
-    let mut by_role: BTreeMap<&str, usize> = BTreeMap::new();
-    for role in &roles {
-        *by_role.entry(role_name(*role)).or_default() += 1;
-    }
-    let parts: Vec<String> = by_role.iter().map(|(role, n)| format!("{n} {role}")).collect();
-    list.add(
-        Severity::Ok,
-        "rows",
-        format!("{} rows to fit ({}), {holdout} sealed", roles.len(), parts.join(", ")),
-    );
-    if by_role.keys().all(|role| *role == "rest") {
-        list.add(Severity::Error, "rows", "every row is at rest: nothing can be fitted".to_owned());
+    let at_rest = rows.iter().filter(|r| r.role == Role::Rest).count();
+    add(Severity::Ok, "rows", format!("{} rows to fit ({at_rest} at rest), {sealed} sealed", rows.len()));
+    if at_rest == rows.len() {
+        add(Severity::Error, "rows", "every row is at rest: nothing can be fitted".to_owned());
     }
     if let SessionData::Whisker(data) = &session.data {
-        trajectories(data, list);
+        let loaded = data.rows.iter().filter(|r| r.role != Role::Rest);
+        let paths = loaded.filter_map(|r| r.trajectory).collect::<BTreeSet<_>>().len();
+        if paths < 3 {
+            let message = format!("{paths} trajectories: leaving one out needs three");
+            add(Severity::Warn, "trajectories", message);
+        }
+        if at_rest == 0 {
+            add(Severity::Warn, "rows", "no row at rest: the zero is extrapolated".to_owned());
+        }
     }
+    for (name, present, hides) in columns {
+        let absent = format!("{name} is absent: {hides} cannot be traced");
+        let (severity, message) =
+            if present { (Severity::Ok, format!("{name} is present")) } else { (Severity::Note, absent) };
+        add(severity, "columns", message);
+    }
+    let (severity, message) = noise(&session.data, &rows);
+    add(severity, "noise", message);
+    add(
+        Severity::Ok,
+        "holdout",
+        match sealed {
+            0 => "no holdout: errors are estimated by leaving data out in turn".to_owned(),
+            _ => format!("{sealed} sealed rows"),
+        },
+    );
+    for warning in &session.warnings {
+        let severity = if warning.is_remark() { Severity::Note } else { Severity::Warn };
+        add(severity, if warning.is_clock_problem() { "time" } else { "files" }, warning.to_string());
+    }
+    list
 }
 
-fn trajectories(data: &WhiskerData, list: &mut Findings) {
-    let mut by_path: BTreeMap<u32, usize> = BTreeMap::new();
-    for id in data.rows.iter().filter(|r| r.role != Role::Rest).filter_map(|r| r.trajectory) {
-        *by_path.entry(id).or_default() += 1;
-    }
-    let parts: Vec<String> = by_path.iter().map(|(id, n)| format!("{id}: {n}")).collect();
-    list.add(Severity::Ok, "trajectories", format!("readings by trajectory: {}", parts.join(", ")));
-    if by_path.len() < 3 {
-        let message = format!("{} trajectories: leaving one out needs three", by_path.len());
-        list.add(Severity::Warn, "trajectories", message);
-    }
-    if !data.rows.iter().any(|r| r.role == Role::Rest) {
-        list.add(Severity::Warn, "rows", "no row at rest: the zero is extrapolated".to_owned());
-    }
+fn whisker_columns(data: &WhiskerData) -> Vec<Quantity> {
+    let rows = &data.rows;
+    let any = |is: fn(&WhiskerRow) -> bool| rows.iter().any(is);
+    let temperature = any(|r| r.reference_shift_pm.is_some() || r.temperature_degc.is_some());
+    vec![
+        ("stage_mm", any(|r| r.stage_mm.is_some()), "stage-scale, stage-periodic"),
+        ("unloading (direction -1)", any(|r| r.direction == Some(-1.0)), "stage-backlash, hysteresis"),
+        ("a moving row (speed_mm_s above 0)", any(|r| r.speed_mm_s.is_some_and(|v| v > 0.0)), "time-lag"),
+        ("t_s", any(|r| r.t_s.is_some()), "zero-drift, creep"),
+        ("dwell_s", any(|r| r.dwell_s.is_some()), "creep within a dwell"),
+        ("a temperature (fbg_ref_* or temperature_degc)", temperature, "temperature-mismatch"),
+        ("[whisker] gravity_direction", data.whisker.gravity_direction.is_some(), "gravity"),
+    ]
 }
 
-/// Bits of a number, so that equal means exactly equal.
-fn bits(value: f64) -> u64 {
-    value.to_bits()
-}
-
-/// Rows that repeat a pose: what the noise floor can be taken from.
-fn noise(data: &SessionData, list: &mut Findings) {
-    let mut poses: HashMap<Vec<u64>, usize> = HashMap::new();
-    let mut note = |key: Vec<u64>| *poses.entry(key).or_default() += 1;
-    let single_sd = match data {
-        SessionData::Whisker(d) => {
-            for r in d.rows.iter().filter(|r| r.role != Role::Rest) {
-                let groove = r.groove_mm.unwrap_or_default();
-                let way = [r.direction.unwrap_or(0.0), r.speed_mm_s.unwrap_or(0.0)];
-                note(groove.iter().chain(&way).map(|v| bits(*v)).collect());
-            }
-            d.rows.iter().any(|r| r.shift_sd_pm.is_some() && r.samples.is_some())
-        }
-        SessionData::Transducer(d) => {
-            d.rows.iter().for_each(|r| note(vec![bits(r.stimulus), bits(r.direction.unwrap_or(0.0))]));
-            false
-        }
-        SessionData::Axis(d) => {
-            d.rows.iter().for_each(|r| note(vec![bits(r.commanded_mm), bits(r.direction.unwrap_or(0.0))]));
-            false
-        }
-    };
+/// What the noise floor can be taken from: rows that repeat a pose, or trajectories that were run again.
+fn noise(data: &SessionData, rows: &[Seen]) -> (Severity, String) {
+    let whisker = if let SessionData::Whisker(data) = data { data.rows.as_slice() } else { &[] };
+    let mut poses: HashMap<&[u64], usize> = HashMap::new();
+    for row in rows.iter().filter(|r| r.role != Role::Rest || whisker.is_empty()) {
+        *poses.entry(&row.pose).or_default() += 1;
+    }
     let degrees: usize = poses.values().map(|n| n - 1).sum();
-    let again = repeated_trajectories(data);
-    if degrees > 0 {
-        let message =
-            format!("{degrees} degrees of freedom of noise from repeated poses ({} poses)", poses.len());
-        list.add(Severity::Ok, "noise", message);
-    } else if again > 0 {
-        let message = format!(
-            "{again} trajectories were run again at other poses: noise from neighbours and from rest"
-        );
-        list.add(Severity::Ok, "noise", message);
-    } else if single_sd {
-        let message = "no pose is repeated; only the spread within a reading is known".to_owned();
-        list.add(Severity::Warn, "noise", message);
-    } else {
-        let message =
-            "no pose is repeated: the noise floor comes from neighbours and every verdict is provisional";
-        list.add(Severity::Warn, "noise", message.to_owned());
-    }
-}
-
-/// Trajectories with more than one replicate number.
-fn repeated_trajectories(data: &SessionData) -> usize {
-    let SessionData::Whisker(data) = data else { return 0 };
     let mut replicates: BTreeMap<u32, BTreeSet<u32>> = BTreeMap::new();
-    for row in data.rows.iter().filter(|r| r.role != Role::Rest) {
+    for row in whisker.iter().filter(|r| r.role != Role::Rest) {
         if let (Some(id), Some(replicate)) = (row.trajectory, row.replicate) {
             replicates.entry(id).or_default().insert(replicate);
         }
     }
-    replicates.values().filter(|numbers| numbers.len() > 1).count()
-}
-
-fn time(session: &LoadedSession, list: &mut Findings) {
-    let mut clean = true;
-    for warning in session.warnings.iter().filter(|w| w.is_clock_problem()) {
-        list.add(Severity::Warn, "time", warning.to_string());
-        clean = false;
+    let again = replicates.values().filter(|numbers| numbers.len() > 1).count();
+    let within = whisker.iter().any(|r| r.shift_sd_pm.is_some() && r.samples.is_some());
+    match (degrees, again) {
+        (1.., _) => {
+            let poses = poses.len();
+            (
+                Severity::Ok,
+                format!("{degrees} degrees of freedom of noise from repeated poses ({poses} poses)"),
+            )
+        }
+        (0, 1..) => {
+            let how = "trajectories were run again at other poses: noise from neighbours and from rest";
+            (Severity::Ok, format!("{again} {how}"))
+        }
+        (0, 0) if within => {
+            (Severity::Warn, "no pose is repeated; only the spread within a reading is known".to_owned())
+        }
+        (0, 0) => {
+            let what = "the noise floor comes from neighbours and every verdict is provisional";
+            (Severity::Warn, format!("no pose is repeated: {what}"))
+        }
     }
-    let timed = match &session.data {
-        SessionData::Whisker(d) => d.rows.iter().any(|r| r.t_s.is_some()),
-        SessionData::Transducer(d) => d.rows.iter().any(|r| r.t_s.is_some()),
-        SessionData::Axis(d) => d.rows.iter().any(|r| r.t_s.is_some()),
-    };
-    if clean && timed {
-        list.add(Severity::Ok, "time", "time runs forward in file order".to_owned());
-    }
-}
-
-fn sealed(data: &SessionData, list: &mut Findings) {
-    let count = match data {
-        SessionData::Whisker(d) => d.holdout.len(),
-        SessionData::Transducer(d) => d.holdout.len(),
-        SessionData::Axis(d) => d.holdout.len(),
-    };
-    let message = match count {
-        0 => "no holdout: errors are estimated by leaving data out in turn".to_owned(),
-        _ => format!("{count} sealed rows"),
-    };
-    list.add(Severity::Ok, "holdout", message);
 }

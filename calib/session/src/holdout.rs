@@ -2,7 +2,7 @@
 
 use crate::error::{InputError, SessionError};
 use crate::session::{LoadedSession, check_covariates, load};
-use crate::warning::{SessionWarning, WarningKind};
+use crate::warning::SessionWarning;
 use crate::whisker::{self, ColumnRequirement};
 use crate::{axis, transducer, whisker_checks};
 use std::path::Path;
@@ -88,35 +88,29 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
     let file =
         path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
     let name = if session.inputs.iter().any(|i| i.path == file) { path.display().to_string() } else { file };
+    let (purpose, warnings) = (Purpose::Holdout, &mut session.warnings);
     let input = match &mut session.data {
-        SessionData::Whisker(data) => {
-            let table = whisker::read_rows(
-                path,
-                &name,
-                &mut data.fbg,
-                &data.trajectories,
-                ColumnRequirement::Session,
-            )?;
-            whisker_checks::check_stage(&table.rows, &data.trajectories, &mut session.warnings)?;
-            whisker_checks::check_reach(&table.rows, whisker_checks::length_mm(&data.whisker.rest_shape))?;
-            session.warnings.extend(table.warnings);
-            data.holdout
-                .extend(table.rows.into_iter().map(|r| WhiskerRow { sealed: r.role != Role::Rest, ..r }));
-            table.input
+        SessionData::Whisker(WhiskerData { whisker, fbg, trajectories, holdout, .. }) => {
+            let table = whisker::read_rows(path, &name, fbg, trajectories, ColumnRequirement::Session)?;
+            whisker_checks::check_stage(&table.rows, trajectories, warnings)?;
+            whisker_checks::check_reach(&table.rows, whisker_checks::length_mm(&whisker.rest_shape))?;
+            warnings.extend(table.warnings);
+            holdout.extend(table.rows.into_iter().map(|r| WhiskerRow { sealed: r.role != Role::Rest, ..r }));
+            InputFile { purpose, ..table.input }
         }
         SessionData::Transducer(data) => {
-            let table = transducer::read_rows(path, &name, &data.rows, &mut session.warnings)?;
+            let table = transducer::read_rows(path, &name, purpose, warnings)?;
             check_covariates(&name, &data.covariates, &table.covariates)?;
             data.holdout.extend(table.rows);
             table.input
         }
         SessionData::Axis(data) => {
-            let (rows, input) = axis::read_rows(path, &name, &data.rows, &mut session.warnings)?;
+            let (rows, input) = axis::read_rows(path, &name, purpose, warnings)?;
             data.holdout.extend(rows);
             input
         }
     };
-    session.inputs.push(InputFile { purpose: Purpose::Holdout, ..input });
+    session.inputs.push(input);
     Ok(())
 }
 
@@ -158,11 +152,11 @@ fn attach_session(
             }
             merge_trajectories(data, &mut added, &renamed("session.toml"), &mut session.warnings)?;
             merge_nominals(data, &mut added);
-            every_row(&mut added, |row| row.source = renamed(&row.source));
             merge_shapes(data, &mut added, &folder);
             if purpose == Purpose::Fit {
                 if !added.twin.is_empty() {
-                    session.warnings.push(SessionWarning::new(&folder, WarningKind::TwinNotUsed));
+                    let text = "labels of its twin are not used";
+                    session.warnings.push(SessionWarning::other(&folder, text));
                 }
                 place_after(data, &mut added);
             }
@@ -170,29 +164,28 @@ fn attach_session(
             if purpose == Purpose::Holdout {
                 every_row(&mut added, |r| r.sealed = true);
             }
-            take_over((&mut data.rows, &mut data.holdout), (added.rows, added.holdout), purpose);
+            let own = (&mut data.rows, &mut data.holdout);
+            take_over(own, (added.rows, added.holdout), purpose, |row| row.source = renamed(&row.source));
         }
-        (SessionData::Transducer(data), SessionData::Transducer(mut added)) => {
+        (SessionData::Transducer(data), SessionData::Transducer(added)) => {
             if (&data.stimulus_unit, &data.response_unit) != (&added.stimulus_unit, &added.response_unit) {
                 return Err(differs("units").field("transducer").into());
             }
             check_covariates(&renamed(&other.points_file), &data.covariates, &added.covariates)?;
-            added.rows.iter_mut().for_each(|row| row.source = renamed(&row.source));
-            added.holdout.relabel(|row| row.source = renamed(&row.source));
-            take_over((&mut data.rows, &mut data.holdout), (added.rows, added.holdout), purpose);
+            let own = (&mut data.rows, &mut data.holdout);
+            take_over(own, (added.rows, added.holdout), purpose, |row| row.source = renamed(&row.source));
         }
-        (SessionData::Axis(data), SessionData::Axis(mut added)) => {
-            added.rows.iter_mut().for_each(|row| row.source = renamed(&row.source));
-            added.holdout.relabel(|row| row.source = renamed(&row.source));
-            take_over((&mut data.rows, &mut data.holdout), (added.rows, added.holdout), purpose);
+        (SessionData::Axis(data), SessionData::Axis(added)) => {
+            let own = (&mut data.rows, &mut data.holdout);
+            take_over(own, (added.rows, added.holdout), purpose, |row| row.source = renamed(&row.source));
         }
         _ => return Err(differs("kind").field("kind").into()),
     }
     // What is partly simulated is not measured.
     if session.simulated != other.simulated {
         let which = if other.simulated { &other.id } else { &session.id };
-        let kind = WarningKind::JoinedWithSimulated(which.clone());
-        session.warnings.push(SessionWarning::new("session.toml", kind));
+        let text = format!("measured and SIMULATED sessions are joined: {which:?} is simulated");
+        session.warnings.push(SessionWarning::other("session.toml", text));
         session.simulated = true;
     }
     session
@@ -209,13 +202,19 @@ fn attach_session(
 }
 
 /// Rows of another session: to the fit, or behind the seal; what was sealed there stays sealed.
-fn take_over<R>(own: (&mut Vec<R>, &mut Sealed<R>), added: (Vec<R>, Sealed<R>), purpose: Purpose) {
-    if purpose == Purpose::Fit {
-        own.0.extend(added.0)
-    } else {
-        own.1.extend(added.0)
+fn take_over<R>(
+    own: (&mut Vec<R>, &mut Sealed<R>),
+    (mut rows, mut sealed): (Vec<R>, Sealed<R>),
+    purpose: Purpose,
+    rename: impl Fn(&mut R),
+) {
+    rows.iter_mut().for_each(&rename);
+    sealed.relabel(rename);
+    match purpose {
+        Purpose::Fit => own.0.extend(rows),
+        _ => own.1.extend(rows),
     }
-    own.1.join(added.1);
+    own.1.join(sealed);
 }
 
 /// Takes over the other session's trajectories; an id that means something else here is replaced by a free one.
@@ -244,7 +243,8 @@ fn merge_trajectories(
                     InputError::new(file, "a free trajectory id", "none").field("trajectory.id")
                 })?;
                 let old = trajectory.id;
-                warnings.push(SessionWarning::new(file, WarningKind::TrajectoryRenamed { old, new }));
+                let text = format!("trajectory {old} is another path here and is called {new}");
+                warnings.push(SessionWarning::other(file, text));
                 let rename = |row: &mut WhiskerRow| {
                     if row.trajectory == Some(old) {
                         row.trajectory = Some(new);

@@ -6,21 +6,16 @@
 
 mod axis;
 mod columns;
-mod copies;
 mod document;
 mod edit;
 mod error;
 mod findings;
 mod holdout;
-mod left_out;
-mod overflow;
 mod row;
 mod screening;
-mod sequence;
 mod session;
 mod shapes;
 mod table;
-mod text_table;
 mod transducer;
 mod units;
 mod warning;
@@ -29,14 +24,12 @@ mod whisker_checks;
 mod whisker_meta;
 mod write;
 
-pub use columns::{MAX_COLUMNS, column_range, judge_cell};
 pub use edit::set_entries;
 pub use error::{InputError, InputErrorFields, SessionError};
 pub use findings::{Finding, Severity, examine};
 pub use holdout::{add_session, attach_holdout};
 pub use session::{LoadedSession, SESSION_FORMAT, load};
-pub use table::SIMULATED_COLUMN;
-pub use text_table::{Separator, TextTable, TextTableLayout, read_text_table};
+pub use table::{SIMULATED_COLUMN, Separator, TextTable, TextTableLayout, read_text_table};
 pub use warning::{SessionWarning, WarningKind};
 pub use whisker::{ReadingTable, WHISKER_COLUMNS, load_table};
 pub use whisker_meta::check_wire;

@@ -1,138 +1,274 @@
-//! What is checked of a scalar table as a whole, once its rows are read: overflow codes, copies, the direction against the moves.
-//! Rows without a value of their own are left out and counted in a warning; what contradicts itself is an error that names the way out.
+//! Rows of a table without a reading of their own: an instrument's overflow value, or a copy of an earlier row. They are left out and counted in a
+//! warning, each by one plain rule. What contradicts itself is an error that names the way out.
 
-use crate::copies::{self, copies};
 use crate::error::InputError;
-use crate::overflow::{codes, refuse_most};
-use crate::sequence::{Step, contradicted_direction};
-use crate::warning::{SessionWarning, WarningKind};
-use wcal_core::Role;
+use crate::table::TextTable;
+use crate::warning::{SessionWarning, WarningKind, named};
+use std::collections::{HashMap, HashSet};
 
-/// What the screening sees of a row.
-pub(crate) struct View {
-    /// Line in the file.
-    pub line: usize,
-    /// Point.
-    pub point: i64,
-    /// Sealed rows are no copies here: a sealed copy of an open row refuses the session.
-    pub role: Role,
-    /// Stimulus or commanded position.
-    pub setting: f64,
-    /// Response or measured position.
-    pub reading: f64,
-    /// Time, s.
-    pub t_s: Option<f64>,
-    /// Direction.
-    pub direction: Option<f64>,
-    /// Temperature, deg C.
-    pub temperature_degc: Option<f64>,
-    /// Further covariates.
-    pub more: Vec<f64>,
-}
+/// No quantity of a calibration is this large: SCPI's 9.9e37 and 9.91e37, the largest float, 1e38 and their like.
+const HUGE: f64 = 1e30;
+/// Fewer values beside a code say nothing of their column.
+const MIN_OTHERS: usize = 4;
+/// Rows of a block that repeats an earlier one: fewer agree by chance.
+const MIN_BLOCK: usize = 6;
+/// Longer tables come from programs, which paste nothing.
+const MAX_ROWS: usize = 20_000;
+/// A gauge with no more steps over what was read is coarse: its repeats agree. 12 bits.
+const COARSE_STEPS: f64 = 4096.0;
 
-/// Names of the columns of a table.
-pub(crate) struct Names<'a> {
-    pub setting: &'a str,
-    pub reading: &'a str,
-    pub more: &'a [String],
-}
-
-/// A row of a scalar table.
-pub(crate) trait Screened {
-    /// What the screening sees of it.
-    fn view(&self) -> View;
-}
-
-/// Leaves out rows of `rows` without a value of their own. `reference`: rows of the session's points table, where this is another table.
-///
-/// # Errors
-/// Where columns contradict each other, or a temperature is none.
-pub(crate) fn screen<R: Screened>(
-    file: &str,
-    names: &Names<'_>,
-    rows: &mut Vec<R>,
-    reference: &[R],
-    warnings: &mut Vec<SessionWarning>,
-) -> Result<(), InputError> {
-    let beside: Vec<View> = reference.iter().map(R::view).collect();
-    let views: Vec<View> = rows.iter().map(R::view).collect();
-    let mut kept = vec![true; rows.len()];
-    for overflow in overflows(names, &views, &beside) {
-        overflow.rows.iter().for_each(|&k| kept[k] = false);
-        refuse_most(file, &overflow.column, overflow.rows.len(), rows.len())?;
-        let (lines, points) = overflow.rows.iter().map(|&k| (views[k].line, views[k].point)).unzip();
-        let kind = WarningKind::Overflow { column: overflow.column, value: overflow.value, lines, points };
-        warnings.push(SessionWarning::new(file, kind));
-    }
-    let open: Vec<usize> = (0..rows.len()).filter(|&k| kept[k] && views[k].role != Role::Holdout).collect();
-    let compared: Vec<copies::Row> = open.iter().map(|&k| compared(&views[k])).collect();
-    let again: Vec<usize> = copies(&compared).into_iter().map(|k| open[k]).collect();
-    if !again.is_empty() {
-        again.iter().for_each(|&k| kept[k] = false);
-        let (lines, points) = again.iter().map(|&k| (views[k].line, views[k].point)).unzip();
-        warnings.push(SessionWarning::new(file, WarningKind::Copied { lines, points, of: rows.len() }));
-    }
-    let stays: Vec<&View> = views.iter().zip(&kept).filter(|(_, k)| **k).map(|(v, _)| v).collect();
-    consistent(file, names, &stays)?;
-    let mut keep = kept.into_iter();
-    rows.retain(|_| keep.next().unwrap_or(true));
-    Ok(())
-}
-
-/// A code in a column and the rows that hold it.
-struct Overflow {
-    column: String,
-    value: f64,
-    rows: Vec<usize>,
-}
-
-/// Overflow codes of every column.
-fn overflows(names: &Names<'_>, views: &[View], beside: &[View]) -> Vec<Overflow> {
-    let mut out = Vec::new();
-    let mut add = |column: &str, set: bool, value: &dyn Fn(&View) -> Option<f64>| {
-        let values: Vec<f64> = views.iter().chain(beside).filter_map(value).collect();
-        for code in codes(&values, set) {
-            let rows: Vec<usize> = (0..views.len()).filter(|&k| value(&views[k]) == Some(code)).collect();
-            if !rows.is_empty() {
-                out.push(Overflow { column: column.to_owned(), value: code, rows });
-            }
+/// Marks the rows in which an instrument wrote a code because it had no value: in columns that a person `set`, and in those that were `read`.
+pub(crate) fn overflow(
+    table: &TextTable,
+    [set, read]: [&[&str]; 2],
+    out: &mut [bool],
+) -> Result<Vec<SessionWarning>, InputError> {
+    let mut warnings = Vec::new();
+    let columns = set.iter().map(|name| (name, true)).chain(read.iter().map(|name| (name, false)));
+    for (name, by_hand) in columns {
+        let values = column(table, name)?;
+        let mut coded = 0;
+        for code in codes(&values, by_hand) {
+            let rows: Vec<usize> = (0..out.len()).filter(|&k| values[k] == Some(code)).collect();
+            let shown = if code.abs() >= 1e12 { format!("{code:e}") } else { code.to_string() };
+            let says = format!(
+                "is an overflow value of the instrument; left out as missing: line(s) {}",
+                lines(table, &rows)
+            );
+            let text = format!("{name} {shown} in {} row(s) {says}", rows.len());
+            warnings.push(left_out(table, &rows, text)?);
+            rows.iter().for_each(|&k| out[k] = true);
+            coded += rows.len();
         }
+        if 2 * coded > out.len() {
+            let found = format!("overflow values in {coded} of {} rows", out.len());
+            return Err(InputError::new(&table.file, "readings in most rows", found).field(*name));
+        }
+    }
+    Ok(warnings)
+}
+
+/// Marks the rows that are copies. Readings of a coarse `gauge` agree by themselves; none where a row holds too much to agree by chance.
+pub(crate) fn copied(
+    table: &TextTable,
+    gauge: Option<&str>,
+    out: &mut [bool],
+) -> Result<Option<SessionWarning>, InputError> {
+    let kept: Vec<usize> = (0..out.len()).filter(|&k| !out[k]).collect();
+    let readings = gauge.map(|name| column(table, name)).transpose()?;
+    let coarse = readings.is_some_and(|values| is_coarse(kept.iter().filter_map(|&k| values[k])));
+    let again = if coarse || kept.len() > MAX_ROWS { Vec::new() } else { copies(table, &kept) };
+    if again.is_empty() {
+        return Ok(None);
+    }
+    again.iter().for_each(|&k| out[k] = true);
+    let (count, of) = (again.len(), kept.len());
+    let text = format!(
+        "{count} of {of} rows are copies of others; counted once, left out: line(s) {}",
+        lines(table, &again)
+    );
+    left_out(table, &again, text).map(Some)
+}
+
+/// Numbers of a column; none in each row where the table does not have it.
+fn column(table: &TextTable, name: &str) -> Result<Vec<Option<f64>>, InputError> {
+    table.by_name().map(|row| row.number(name)).collect()
+}
+
+fn lines(table: &TextTable, rows: &[usize]) -> String {
+    named(&rows.iter().map(|&k| table.rows[k].0).collect::<Vec<_>>())
+}
+
+fn left_out(table: &TextTable, rows: &[usize], text: String) -> Result<SessionWarning, InputError> {
+    let points = rows.iter().map(|&k| table.row(k).point_or_order()).collect::<Result<_, _>>()?;
+    Ok(SessionWarning::new(&table.file, WarningKind::LeftOut(points), text))
+}
+
+/// One of the numbers that instruments use as codes: huge, all nines, an end of a converter's range, or a power-up value.
+fn usual(value: f64) -> bool {
+    let size = value.abs();
+    let digits: Vec<char> = format!("{size}").chars().filter(char::is_ascii_digit).collect();
+    let nines = digits.len() >= 3 && digits.iter().all(|d| *d == '9');
+    // Ends of 7 to 32 bits: 127, 128, 255, ..., 32767, 8388607, 4294967295.
+    let end = (7..=32).any(|bits| [2f64.powi(bits), 2f64.powi(bits) - 1.0].contains(&size));
+    // DS18B20 after power-up reads 85; absolute zero is no reading.
+    size >= HUGE || nines || end || value == 85.0 || value == -273.15
+}
+
+/// The codes of a column: usual ones that lie further from its other values than these from each other, in half of the rows at most. What a
+/// person `set` is a code only where it is no quantity.
+fn codes(values: &[Option<f64>], set: bool) -> Vec<f64> {
+    let others: Vec<f64> = values.iter().flatten().copied().filter(|v| !usual(*v)).collect();
+    let [low, high] =
+        others.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(*v), b.max(*v)]);
+    let far = |code: f64| others.len() >= MIN_OTHERS && (low - code).max(code - high) > high - low;
+    let few = |code: f64| 2 * values.iter().filter(|v| **v == Some(code)).count() <= values.len();
+    let is_code = |code: &f64| code.abs() >= HUGE || (!set && usual(*code) && far(*code) && few(*code));
+    let mut found: Vec<f64> = values.iter().flatten().copied().filter(is_code).collect();
+    found.sort_by(f64::total_cmp);
+    found.dedup();
+    found
+}
+
+/// Whether readings are whole multiples of a step of their display, with few steps between the lowest and the highest.
+fn is_coarse(readings: impl Iterator<Item = f64> + Clone) -> bool {
+    let span = |[a, b]: [f64; 2], v: f64| [a.min(v), b.max(v)];
+    let [low, high] = readings.clone().fold([f64::INFINITY, f64::NEG_INFINITY], span);
+    let unit = 10f64.powf(((high - low) / COARSE_STEPS).log10().ceil());
+    !(high > low) || readings.into_iter().all(|v| (v / unit - (v / unit).round()).abs() < 1e-6)
+}
+
+/// The rows of `kept` that repeat an earlier one in every cell: with its point number or its time, or in a block of rows that follow each other
+/// as they do there.
+fn copies(table: &TextTable, kept: &[usize]) -> Vec<usize> {
+    let [point, time] = ["point", "t_s"].map(|name| table.place(name));
+    let cells = |k: usize, without: Option<usize>| -> Vec<&str> {
+        let all = table.rows[k].1.iter().enumerate();
+        all.filter(|(column, _)| Some(*column) != without).map(|(_, cell)| cell).collect()
     };
-    add(names.setting, true, &|v| Some(v.setting));
-    add(names.reading, false, &|v| Some(v.reading));
-    add("temperature_degc", false, &|v| v.temperature_degc);
-    for (k, name) in names.more.iter().enumerate() {
-        add(name, false, &|v| v.more.get(k).copied());
+    let rows: Vec<Vec<&str>> = kept.iter().map(|&k| cells(k, point)).collect();
+    let (mut first, mut whole) = (HashMap::new(), HashSet::new());
+    let mut copied = vec![false; rows.len()];
+    // Each row of a block is a copy of the one that stands so many rows before it.
+    let (mut block, mut back) = (0..0, 0);
+    for (k, row) in rows.iter().enumerate() {
+        let before = k - *first.entry(row).or_insert(k);
+        let goes_on = back > 0 && rows[k - back] == *row;
+        (block, back) = match (goes_on, before) {
+            (true, _) => (block.start..k + 1, back),
+            (false, 0) => (k..k, 0),
+            (false, before) => (k..k + 1, before),
+        };
+        if block.len() >= MIN_BLOCK {
+            copied[block.clone()].fill(true);
+        }
+        let timed = time.is_some_and(|column| !table.rows[kept[k]].1[column].is_empty());
+        copied[k] |= (timed && before > 0) | !whole.insert(cells(kept[k], None));
     }
-    out
+    kept.iter().zip(copied).filter(|(_, copied)| *copied).map(|(k, _)| *k).collect()
 }
 
-fn compared(view: &View) -> copies::Row {
-    copies::Row {
-        setting: [view.setting, view.direction.unwrap_or(0.0)],
-        reading: view.reading,
-        t_s: view.t_s,
-        more: view.more.iter().copied().chain(view.temperature_degc).collect(),
-    }
-}
+/// A row as its place in the sequence shows it: line in the file, position or stimulus, time, direction.
+pub(crate) type Step = (usize, f64, Option<f64>, Option<f64>);
 
-/// Temperatures, directions and clock of the rows that stay.
-fn consistent(file: &str, names: &Names<'_>, views: &[&View]) -> Result<(), InputError> {
-    let kelvin = |t: f64| !(-60.0..=200.0).contains(&t);
-    if let Some(v) = views.iter().find(|v| v.temperature_degc.is_some_and(kelvin)) {
-        let found = format!("{}", v.temperature_degc.unwrap_or_default());
-        let expected = "a temperature between -60 and 200 deg C";
-        return Err(InputError::new(file, expected, found)
-            .at(v.line)
-            .field("temperature_degc")
-            .hint("kelvin?"));
-    }
-    let first = views.first().filter(|v| views.len() > 1 && v.t_s.is_some());
-    if let Some(v) = first.filter(|first| views.iter().all(|v| v.t_s == first.t_s)) {
-        let found = format!("t_s {} in all {} rows", v.t_s.unwrap_or_default(), views.len());
-        let error = InputError::new(file, "a time that runs", found).at(v.line).field("t_s");
+/// A clock that stands still, or a direction that says the opposite of the moves at rows before and after which the position rises, or falls. At
+/// the turns, and where targets are approached singly, nothing is contradicted, nor by a table whose moves or directions have one sign alone.
+pub(crate) fn contradiction(file: &str, setting: &str, rows: &[Step]) -> Result<(), InputError> {
+    let first = rows.first().and_then(|first| Some((first.0, first.2.filter(|_| rows.len() > 1)?)));
+    if let Some((line, t_s)) = first.filter(|(_, t_s)| rows.iter().all(|r| r.2 == Some(*t_s))) {
+        let found = format!("t_s {t_s} in all {} rows", rows.len());
+        let error = InputError::new(file, "a time that runs", found).at(line).field("t_s");
         return Err(error.hint("leave --time out at import: the order of the rows then stands for it"));
     }
-    let steps: Vec<Step> = views.iter().map(|v| (v.line, v.setting, v.direction)).collect();
-    contradicted_direction(file, names.setting, &steps).map_or(Ok(()), Err)
+    let way = |w: &[Step]| (w[1].1 - w[0].1).signum() * f64::from(u8::from(w[1].1 != w[0].1));
+    let within = rows.windows(3).filter(|w| way(&w[..2]) * way(&w[1..]) > 0.0);
+    let seen: Vec<(usize, f64, f64)> = within.filter_map(|w| Some((w[1].0, way(w), w[1].3?))).collect();
+    let both =
+        |f: fn(&(usize, f64, f64)) -> f64| seen.iter().any(|s| f(s) > 0.0) && seen.iter().any(|s| f(s) < 0.0);
+    let against: Vec<_> = seen.iter().filter(|(_, way, direction)| way * direction < 0.0).collect();
+    // All or nearly all the wrong way round, or few among many that agree; what lies between is another convention.
+    let (count, of) = (against.len(), seen.len());
+    let named = both(|s| s.1) && both(|s| s.2) && (4 * count <= of || 10 * count >= 9 * of);
+    let Some((line, _, direction)) = against.first().filter(|_| named) else { return Ok(()) };
+    let found = format!("direction {direction} against {setting} ({count} of {of} rows within a stroke)");
+    let expected = format!("a direction that agrees with {setting}: 1 where it rises, -1 where it falls");
+    let hint = "at import --direction 'COLUMN*-1' turns it; or leave --direction out";
+    Err(InputError::new(file, expected, found).at(*line).field("direction").hint(hint))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+    use super::*;
+    use crate::table::read_own;
+
+    /// Lines of the rows that are left out as copies.
+    fn copied_lines(text: &str, gauge: Option<&str>) -> Vec<usize> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.csv");
+        std::fs::write(&path, text).unwrap();
+        let table = read_own(&path, "t.csv").unwrap();
+        let mut out = vec![false; table.rows.len()];
+        copied(&table, gauge, &mut out).unwrap();
+        (0..out.len()).filter(|&k| out[k]).map(|k| table.rows[k].0).collect()
+    }
+
+    /// `sweeps` of eleven settings with numbers of points; `noise` counts of scatter in the last of `digits`, another in each sweep.
+    fn sweeps(sweeps: usize, noise: f64, digits: usize) -> Vec<String> {
+        let scatter = |k: usize| ((k as f64 * 12.9898).sin() * 43758.5453).rem_euclid(1.0) - 0.5;
+        let last = 10f64.powi(-(digits as i32));
+        let of = |k: usize| {
+            let x = (k % 11) as f64;
+            format!("{x},{:.digits$}", 0.2 * x + 3.4 * noise * last * scatter(k))
+        };
+        (0..11 * sweeps).map(of).collect()
+    }
+
+    fn table(rows: &[String], again: impl IntoIterator<Item = usize>) -> String {
+        let all = rows.iter().chain(again.into_iter().map(|k| &rows[k]));
+        let lines: String = all.enumerate().map(|(k, row)| format!("{k},{row}\n")).collect();
+        "point,stimulus,response\n".to_owned() + &lines
+    }
+
+    #[test]
+    fn pasted_sweeps_are_found_and_honest_repeats_stay() {
+        let read = |text: String| copied_lines(&text, Some("response"));
+        assert_eq!(read(table(&sweeps(1, 4.0, 5), (0..11).chain(0..11))), (13..35).collect::<Vec<_>>());
+        // One of three sweeps pasted once more, and too few rows of it.
+        assert_eq!(read(table(&sweeps(3, 4.0, 5), 11..22)), (35..46).collect::<Vec<_>>());
+        assert!(read(table(&sweeps(3, 4.0, 5), 11..16)).is_empty());
+        // Repeats with noise, and repeats of a gauge whose noise hides below its last digit.
+        assert!(read(table(&sweeps(6, 4.0, 5), [])).is_empty());
+        assert!(read(table(&sweeps(1, 0.0, 2), 0..11)).is_empty());
+        assert!(read(table(&sweeps(6, 0.2, 2), [])).is_empty());
+        // A time is read once.
+        let timed = "point,t_s,response\n0,1.5,0.123456\n1,2.5,0.234567\n2,1.5,0.123456\n";
+        assert_eq!(copied_lines(timed, Some("response")), [4]);
+    }
+
+    #[test]
+    fn codes_are_told_from_readings_by_their_column() {
+        let codes = |values: &[f64], set| codes(&values.iter().map(|v| Some(*v)).collect::<Vec<_>>(), set);
+        let volts = [0.1, 0.2, 0.3, 0.4, 0.5];
+        for code in [9.9e37, -9.9e37, 1e38, 3.4028234e38, 999_999.0, 9999.0, -127.0, 32767.0, 8_388_607.0] {
+            let with: Vec<f64> = volts.iter().copied().chain([code]).collect();
+            assert_eq!(codes(&with, false), [code]);
+        }
+        // In range, or no further out than the others are wide: a reading.
+        assert!(codes(&[-180.0, -127.0, -60.0, 20.0, 50.0], false).is_empty());
+        assert!(codes(&[2e5, 4e5, 6e5, 8e5, 999_999.0, 1.2e6], false).is_empty());
+        // An unusual number, however far out, is a matter of the noise.
+        assert!(codes(&[0.1, 0.2, 0.3, 0.4, 5000.0], false).is_empty());
+        // Loads in powers of two are set so; a huge number is none whatever stands beside it.
+        let powers: Vec<f64> = (0..13).map(|k| 2f64.powi(k)).collect();
+        assert!(codes(&powers, true).is_empty());
+        assert_eq!(codes(&[0.1, 9.9e37], true), [9.9e37]);
+        // Half of a column and more is its content.
+        assert!(codes(&[0.1, 0.2, 0.3, 0.4, 9999.0, 9999.0, 9999.0, 9999.0, 9999.0], false).is_empty());
+    }
+
+    /// `cycles` of five positions up and down; `direction` by cycle and way.
+    fn axis(cycles: usize, direction: impl Fn(usize, f64) -> f64) -> Vec<Step> {
+        let of = |k: usize| {
+            let (cycle, place) = (k / 10, k % 10);
+            let (x, way) = if place < 5 { (place, 1.0) } else { (9 - place, -1.0) };
+            (k + 2, x as f64, None, Some(direction(cycle, way)))
+        };
+        (0..10 * cycles).map(of).collect()
+    }
+
+    #[test]
+    fn a_direction_against_the_moves_is_named_and_other_conventions_are_not() {
+        let named = |rows: &[Step]| contradiction("t.csv", "commanded_mm", rows).err().map(|e| e.to_string());
+        assert!(named(&axis(3, |_, way| way)).is_none());
+        assert!(named(&axis(3, |_, way| -way)).unwrap().contains("18 of 18 rows"));
+        let one = named(&axis(5, |cycle, way| if cycle == 3 { -way } else { way })).unwrap();
+        assert!(one.contains("6 of 30 rows"), "{one}");
+        // Approached from below always.
+        assert!(named(&axis(3, |_, _| 1.0)).is_none());
+        // Forward and backward readings listed in rising order.
+        let mut list = axis(2, |_, way| way);
+        list.sort_by(|a, b| b.3.partial_cmp(&a.3).unwrap().then(a.1.total_cmp(&b.1)));
+        assert!(named(&list).is_none());
+    }
 }

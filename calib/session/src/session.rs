@@ -1,20 +1,24 @@
 //! A session folder as a whole.
 
-use crate::document::{self, Section};
+use crate::document::{parse, sections};
 use crate::error::{InputError, SessionError, quote};
 use crate::shapes::Expected;
-use crate::warning::{SessionWarning, WarningKind};
+use crate::transducer::{self, TransducerSection};
+use crate::warning::SessionWarning;
 use crate::whisker::{self, ColumnRequirement};
-use crate::{axis, transducer, whisker_checks, whisker_meta};
+use crate::whisker_meta::{self, MomentSection, TrajectorySection, WhiskerSection};
+use crate::{axis, whisker_checks};
+use serde::Deserialize;
 use std::path::{Component, Path, PathBuf};
 use wcal_core::files::{MAX_DOCUMENT_BYTES, read_within};
-use wcal_core::format::is_newer;
 use wcal_core::provenance::sha256_hex;
-use wcal_core::ranges;
+use wcal_core::text::brief;
 use wcal_core::{
-    AxisData, AxisRow, InputFile, Purpose, Role, Sealed, SessionData, SessionKind, TransducerData,
-    WhiskerData, WhiskerRow,
+    AxisData, FbgSpec, InputFile, Purpose, Role, Sealed, SessionData, SessionKind, TransducerData,
+    WhiskerData, WhiskerRow, format, ranges,
 };
+
+const NAME: &str = "session.toml";
 
 /// Format tag of `session.toml`.
 pub const SESSION_FORMAT: &str = "wcal-session/1";
@@ -48,6 +52,28 @@ pub struct LoadedSession {
     pub pictures: Option<PathBuf>,
 }
 
+/// `session.toml`.
+#[derive(Deserialize)]
+struct Document {
+    id: String,
+    kind: SessionKind,
+    medium: Option<String>,
+    created: Option<toml::Value>,
+    files: Files,
+    whisker: Option<WhiskerSection>,
+    #[serde(default)]
+    moments: MomentSection,
+    #[serde(default)]
+    fbg: FbgSpec,
+    #[serde(default)]
+    trajectory: Vec<TrajectorySection>,
+    transducer: Option<TransducerSection>,
+    #[serde(default)]
+    provenance: ProvenanceSection,
+}
+
+/// `[files]`.
+#[derive(Deserialize)]
 struct Files {
     points: String,
     holdout: Option<String>,
@@ -55,8 +81,21 @@ struct Files {
     rest_shape: Option<String>,
     shapes: Option<String>,
     holdout_shapes: Option<String>,
-    pictures: Option<PathBuf>,
+    recording: Option<String>,
+    pictures: Option<String>,
 }
+
+/// What a reader asks of `[provenance]`: whether the data are simulated, and which cameras and rig its shapes come from.
+#[derive(Default, Deserialize)]
+struct ProvenanceSection {
+    #[serde(default)]
+    simulated: bool,
+    cameras_sha256: Option<String>,
+    shapes_rig_sha256: Option<String>,
+}
+
+/// Keys that people and other programs write for themselves, and tables that are free.
+const FREE: [&str; 5] = ["format", "note", "whisker_id", "devices", "provenance"];
 
 /// Reads a session folder (or the path of its `session.toml`) and checks everything in it.
 ///
@@ -70,39 +109,53 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
             InputError::new(&folder.display().to_string(), "a session folder", "a pipe or device").into()
         );
     }
-    const NAME: &str = "session.toml";
     let path = folder.join(NAME);
     let bytes = read_within(&path, MAX_DOCUMENT_BYTES).map_err(|e| SessionError::io("reading", &path, e))?;
-    let meta = document::parse(NAME, &bytes)?;
-    let root = Section::root(NAME, &meta);
-    check_format(&root)?;
+    let meta = parse(NAME, &bytes)?;
+    format::expect(SESSION_FORMAT, meta.get("format").and_then(toml::Value::as_str))
+        .map_err(|e| InputError::new(NAME, format!("{:?}", e.expected), e.found).field("format"))?;
     ranges::check(&meta, &[whisker_meta::SESSION_RANGES]).map_err(|e| InputError::range(NAME, e))?;
-    let mut warnings = Vec::new();
+    let mut unknown = Vec::new();
+    let document: Document = sections(NAME, &meta, &mut unknown)?;
+    let is_free = |key: &String| FREE.iter().any(|free| key.split('.').next() == Some(free));
+    let unknown = unknown.iter().filter(|key| !is_free(key));
+    let mut warnings: Vec<SessionWarning> = unknown
+        .map(|key| SessionWarning::other(NAME, format!("key {} is not known and not used", brief(key))))
+        .collect();
     let mut inputs =
         vec![InputFile { path: NAME.to_owned(), sha256: sha256_hex(&bytes), purpose: Purpose::Description }];
-    let id = root.required_text("id", "a session identifier")?;
-    let kind = read_kind(&root)?;
-    let created = root.text("created")?;
-    let medium = read_medium(&root, kind, &mut warnings)?;
-    let files = read_files(&root, folder, &mut warnings)?;
-    for free in ["note", "whisker_id", "devices"] {
-        root.value(free);
+    let Document { id, kind, medium, created, files, provenance, .. } = &document;
+    if id.trim().is_empty() {
+        return Err(InputError::new(NAME, "a session identifier", "an empty text").field("id").into());
     }
-    let simulated = read_simulated(&root)?;
+    let (id, kind, simulated) = (id.clone(), *kind, provenance.simulated);
+    let created = created.as_ref().map(|time| time.as_str().map_or_else(|| time.to_string(), str::to_owned));
+    let medium = medium.clone().unwrap_or_else(|| {
+        if kind != SessionKind::Whisker {
+            return "unspecified".to_owned();
+        }
+        warnings.push(SessionWarning::other(NAME, "medium is not given; taken as \"air\""));
+        "air".to_owned()
+    });
+    files.check(folder)?;
+    if let Some(name) = files.recording.as_ref().filter(|name| !folder.join(name).is_file()) {
+        let text = format!("the recording {name} is not there; tables cannot be rebuilt from it");
+        warnings.push(SessionWarning::other(NAME, text));
+    }
+    let points_file = files.points.clone();
+    let pictures = files.pictures.as_ref().map(|name| folder.join(name));
     let data = match kind {
         SessionKind::Whisker => {
-            let expected = expected_shapes(&root, &id)?;
-            let data = load_whisker(&root, folder, &files, &medium, &expected, &mut inputs, &mut warnings)?;
-            SessionData::Whisker(data)
+            SessionData::Whisker(load_whisker(document, folder, &medium, &mut inputs, &mut warnings)?)
         }
         SessionKind::Transducer => {
-            SessionData::Transducer(load_transducer(&root, folder, &files, &mut inputs, &mut warnings)?)
+            SessionData::Transducer(load_transducer(document, folder, &mut inputs, &mut warnings)?)
         }
-        SessionKind::Axis => SessionData::Axis(load_axis(folder, &files, &mut inputs, &mut warnings)?),
+        SessionKind::Axis => {
+            SessionData::Axis(load_axis(folder, &document.files, &mut inputs, &mut warnings)?)
+        }
     };
-    whisker_meta::warn_unknown(&root, &mut warnings);
     let folder = folder.to_owned();
-    let points_file = files.points;
     Ok(LoadedSession {
         folder,
         id,
@@ -115,123 +168,38 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
         meta,
         warnings,
         points_file,
-        pictures: files.pictures,
+        pictures,
     })
 }
 
-/// The mark of simulated data; sessions from before it, and other content of `[provenance]`, are taken as measured.
-fn read_simulated(root: &Section<'_>) -> Result<bool, InputError> {
-    match root.value("provenance") {
-        Some(toml::Value::Table(_)) => {
-            let section = root.section("provenance")?;
-            Ok(section.map(|s| s.flag("simulated")).transpose()?.flatten().unwrap_or(false))
-        }
-        _ => Ok(false),
-    }
-}
-
-/// What the session says of the cameras and the rig that its shapes come from.
-fn expected_shapes(root: &Section<'_>, id: &str) -> Result<Expected, InputError> {
-    let mut expected = Expected { session: id.to_owned(), ..Expected::default() };
-    if let Some(toml::Value::Table(_)) = root.value("provenance")
-        && let Some(section) = root.section("provenance")?
-    {
-        expected.cameras_sha256 = section.text("cameras_sha256")?;
-        expected.rig_sha256 = section.text("shapes_rig_sha256")?;
-    }
-    Ok(expected)
-}
-
-fn check_format(root: &Section<'_>) -> Result<(), InputError> {
-    let format = root.required_text("format", &format!("{SESSION_FORMAT:?}"))?;
-    if format == SESSION_FORMAT {
-        return Ok(());
-    }
-    let error = root.error("format", format!("{SESSION_FORMAT:?}"), quote(&format));
-    Err(if is_newer(SESSION_FORMAT, &format) {
-        error.hint("the session was written in a newer format; update wcal to read it")
-    } else {
-        error
-    })
-}
-
-fn read_kind(root: &Section<'_>) -> Result<SessionKind, InputError> {
-    let expected = "\"whisker\", \"transducer\" or \"axis\"";
-    match root.required_text("kind", expected)?.as_str() {
-        "whisker" => Ok(SessionKind::Whisker),
-        "transducer" => Ok(SessionKind::Transducer),
-        "axis" => Ok(SessionKind::Axis),
-        other => Err(root.error("kind", expected, quote(other))),
-    }
-}
-
-fn read_medium(
-    root: &Section<'_>,
-    kind: SessionKind,
-    warnings: &mut Vec<SessionWarning>,
-) -> Result<String, InputError> {
-    match root.text("medium")? {
-        Some(medium) => Ok(medium),
-        None if kind == SessionKind::Whisker => {
-            warnings.push(SessionWarning::new("session.toml", WarningKind::NoMedium));
-            Ok("air".to_owned())
-        }
-        None => Ok("unspecified".to_owned()),
-    }
-}
-
-fn read_files(
-    root: &Section<'_>,
-    folder: &Path,
-    warnings: &mut Vec<SessionWarning>,
-) -> Result<Files, InputError> {
-    let section = root.section("files")?;
-    let section = section.ok_or_else(|| root.error("files", "a table [files]", "nothing"))?;
-    let relative = |key: &str| -> Result<Option<String>, InputError> {
-        let Some(name) = section.text(key)? else { return Ok(None) };
-        match outside(folder, &name) {
-            Some(found) => {
-                let expected = "a file in the session's folder, its path relative to it and without \"..\"";
-                Err(section.error(key, expected, found))
+impl Files {
+    /// Holds every name against the folder: a session that was handed on must not read anything else of this computer.
+    fn check(&self, folder: &Path) -> Result<(), InputError> {
+        let files = [
+            ("points", Some(&self.points)),
+            ("holdout", self.holdout.as_ref()),
+            ("twin", self.twin.as_ref()),
+            ("rest_shape", self.rest_shape.as_ref()),
+            ("shapes", self.shapes.as_ref()),
+            ("holdout_shapes", self.holdout_shapes.as_ref()),
+            ("recording", self.recording.as_ref()),
+            ("pictures", self.pictures.as_ref()),
+        ];
+        for (key, name) in files {
+            let kind = if key == "pictures" { "a folder" } else { "a file" };
+            if let Some(found) = name.and_then(|name| outside(folder, name, key == "pictures")) {
+                let expected =
+                    format!("{kind} in the session's folder, its path relative to it and without \"..\"");
+                return Err(InputError::new(NAME, expected, found).field(format!("files.{key}")));
             }
-            None => Ok(Some(name)),
         }
-    };
-    let points = relative("points")?
-        .ok_or_else(|| section.error("points", "the name of the points table", "nothing"))?;
-    let files = Files {
-        points,
-        holdout: relative("holdout")?,
-        twin: relative("twin")?,
-        rest_shape: relative("rest_shape")?,
-        shapes: relative("shapes")?,
-        holdout_shapes: relative("holdout_shapes")?,
-        pictures: pictures_folder(&section, folder)?,
-    };
-    if let Some(name) = relative("recording")?.filter(|name| !folder.join(name).is_file()) {
-        warnings.push(SessionWarning::new("session.toml", WarningKind::NoRecording(name)));
+        Ok(())
     }
-    whisker_meta::warn_unknown(&section, warnings);
-    Ok(files)
 }
 
-/// `pictures` of `[files]`: a folder inside the session's.
-fn pictures_folder(section: &Section<'_>, folder: &Path) -> Result<Option<PathBuf>, InputError> {
-    let Some(name) = section.text("pictures")? else { return Ok(None) };
-    let path = folder.join(&name);
-    let plain = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
-    // A link could lead out of the session.
-    let linked = path.symlink_metadata().is_ok_and(|about| about.is_symlink());
-    if name.is_empty() || !Path::new(&name).components().all(plain) || linked || !path.is_dir() {
-        let expected = "a folder in the session's, its path relative to it and without \"..\"";
-        return Err(section.error("pictures", expected, quote(&name)));
-    }
-    Ok(Some(path))
-}
-
-/// Why a name in `[files]` is none of a file in the folder: a session that was handed on must not read anything else of this computer.
-/// A file that is not there is no matter of this check.
-fn outside(folder: &Path, name: &str) -> Option<String> {
+/// Why a name in `[files]` is none of a file, or of a folder of `pictures`, in the session's folder. A file that is not there is no matter of this
+/// check.
+fn outside(folder: &Path, name: &str, pictures: bool) -> Option<String> {
     /// Longest name that a file system takes, bytes.
     const LONGEST: usize = 255;
     let plain = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
@@ -241,31 +209,49 @@ fn outside(folder: &Path, name: &str) -> Option<String> {
     let path = folder.join(name);
     // Links are followed here, once, before anything is opened. The folder of a bare "session.toml" is "".
     let root = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-    let (Ok(target), Ok(root)) = (path.canonicalize(), root.canonicalize()) else { return None };
+    let (Ok(target), Ok(root)) = (path.canonicalize(), root.canonicalize()) else {
+        return pictures.then(|| quote(name));
+    };
     if !target.starts_with(root) {
         return Some(format!("{}, a link to {}", quote(name), target.display()));
     }
-    (!target.is_file()).then(|| format!("{}, which is not a regular file", quote(name)))
+    match pictures {
+        true => (!target.is_dir()).then(|| quote(name)),
+        false => (!target.is_file()).then(|| format!("{}, which is not a regular file", quote(name))),
+    }
+}
+
+fn no_section(name: &str) -> InputError {
+    InputError::new(NAME, format!("a table [{name}]"), "nothing").field(name)
 }
 
 fn load_whisker(
-    root: &Section<'_>,
+    document: Document,
     folder: &Path,
-    files: &Files,
     medium: &str,
-    expected: &Expected,
     inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<WhiskerData, SessionError> {
-    let mut meta = whisker_meta::read(root, folder, files.rest_shape.as_deref(), warnings)?;
-    inputs.append(&mut meta.inputs);
-    let length_mm = whisker_checks::length_mm(&meta.whisker.rest_shape);
+    let Document { id: session, files, whisker, moments, mut fbg, trajectory, provenance, .. } = document;
+    let ProvenanceSection { cameras_sha256, shapes_rig_sha256: rig_sha256, .. } = provenance;
+    let expected = Expected { session, cameras_sha256, rig_sha256 };
+    let shape = match &files.rest_shape {
+        Some(name) => {
+            let (points, input) = whisker_meta::read_polyline(folder, name, warnings)?;
+            inputs.push(input);
+            Some((name.as_str(), points))
+        }
+        None => None,
+    };
+    let whisker = whisker.ok_or_else(|| no_section("whisker"))?.spec(NAME, shape, warnings)?;
+    let moments = moments.axes(NAME)?;
+    let trajectories = whisker_meta::trajectories(NAME, trajectory)?;
+    let length_mm = whisker_checks::length_mm(&whisker.rest_shape);
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
         let path = folder.join(name);
-        let table =
-            whisker::read_rows(&path, name, &mut meta.fbg, &meta.trajectories, ColumnRequirement::Session)?;
+        let table = whisker::read_rows(&path, name, &mut fbg, &trajectories, ColumnRequirement::Session)?;
         // A factor of 1000 is named as such before it is called out of reach.
-        whisker_checks::check_stage(&table.rows, &meta.trajectories, warnings)?;
+        whisker_checks::check_stage(&table.rows, &trajectories, warnings)?;
         whisker_checks::check_reach(&table.rows, length_mm)?;
         inputs.push(InputFile { purpose, ..table.input });
         warnings.extend(table.warnings);
@@ -273,7 +259,7 @@ fn load_whisker(
     };
     let mut rows = read(&files.points, Purpose::Fit)?;
     let pairs = |name: &Option<String>, rows: &mut [WhiskerRow], purpose: Purpose| match name {
-        Some(name) => crate::shapes::read(&folder.join(name), name, expected, rows, purpose).map(Some),
+        Some(name) => crate::shapes::read(&folder.join(name), name, &expected, rows, purpose).map(Some),
         None => Ok(None),
     };
     let shapes = pairs(&files.shapes, &mut rows, Purpose::Fit)?;
@@ -289,8 +275,7 @@ fn load_whisker(
     for (found, input) in shapes.iter().chain(&sealed_shapes) {
         inputs.push(input.clone());
         if !found.left_out.is_empty() {
-            let kind = WarningKind::PairsLeftOut(found.left_out.clone());
-            warnings.push(SessionWarning::new(&found.file, kind));
+            warnings.push(SessionWarning::other(&found.file, crate::shapes::in_words(&found.left_out)));
         }
     }
     let shapes = shapes.map(|(found, _)| found);
@@ -304,30 +289,35 @@ fn load_whisker(
         inputs.push(input);
     }
     let medium = medium.to_owned();
-    let whisker_meta::WhiskerMeta { whisker, moments, fbg, trajectories, .. } = meta;
     Ok(WhiskerData { whisker, moments, fbg, medium, trajectories, rows, holdout, twin, shapes })
 }
 
 fn load_transducer(
-    root: &Section<'_>,
+    document: Document,
     folder: &Path,
-    files: &Files,
     inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<TransducerData, SessionError> {
-    let meta = transducer::read_meta(root, warnings)?;
-    let table = transducer::read_rows(&folder.join(&files.points), &files.points, &[], warnings)?;
-    inputs.push(InputFile { purpose: Purpose::Fit, ..table.input });
+    let Document { files, transducer, .. } = document;
+    let TransducerSection { stimulus_unit, response_unit, model } =
+        transducer.ok_or_else(|| no_section("transducer"))?;
+    for (key, unit) in [("stimulus_unit", &stimulus_unit), ("response_unit", &response_unit)] {
+        if unit.trim().is_empty() {
+            let field = format!("transducer.{key}");
+            return Err(InputError::new(NAME, "a unit, e.g. \"N\"", "an empty text").field(field).into());
+        }
+    }
+    let table = transducer::read_rows(&folder.join(&files.points), &files.points, Purpose::Fit, warnings)?;
+    inputs.push(table.input);
     let (mut rows, covariates) = (table.rows, table.covariates);
     let mut holdout = seal(&mut rows, |r| r.role);
     if let Some(name) = &files.holdout {
-        let sealed = transducer::read_rows(&folder.join(name), name, &rows, warnings)?;
+        let sealed = transducer::read_rows(&folder.join(name), name, Purpose::Holdout, warnings)?;
         check_covariates(name, &covariates, &sealed.covariates)?;
-        inputs.push(InputFile { purpose: Purpose::Holdout, ..sealed.input });
+        inputs.push(sealed.input);
         holdout.extend(sealed.rows);
     }
     require_unsealed(&files.points, rows.len())?;
-    let transducer::TransducerMeta { stimulus_unit, response_unit, model } = meta;
     Ok(TransducerData { stimulus_unit, response_unit, model, covariates, rows, holdout })
 }
 
@@ -351,15 +341,15 @@ fn load_axis(
     inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<AxisData, SessionError> {
-    let mut read = |name: &str, points: &[AxisRow], purpose: Purpose| -> Result<Vec<_>, SessionError> {
-        let (rows, input) = axis::read_rows(&folder.join(name), name, points, warnings)?;
-        inputs.push(InputFile { purpose, ..input });
+    let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
+        let (rows, input) = axis::read_rows(&folder.join(name), name, purpose, warnings)?;
+        inputs.push(input);
         Ok(rows)
     };
-    let mut rows = read(&files.points, &[], Purpose::Fit)?;
+    let mut rows = read(&files.points, Purpose::Fit)?;
     let mut holdout = seal(&mut rows, |r| r.role);
     if let Some(name) = &files.holdout {
-        holdout.extend(read(name, &rows, Purpose::Holdout)?);
+        holdout.extend(read(name, Purpose::Holdout)?);
     }
     require_unsealed(&files.points, rows.len())?;
     Ok(AxisData { rows, holdout })

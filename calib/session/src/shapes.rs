@@ -69,6 +69,17 @@ impl<'de> Deserialize<'de> for ReadPair {
     }
 }
 
+/// Pairs that are left out, by reason.
+pub(crate) fn in_words(left_out: &[PairLeftOut]) -> String {
+    let mut by_reason: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for pair in left_out {
+        by_reason.entry(&pair.why).or_default().push(&pair.name);
+    }
+    let each: Vec<String> =
+        by_reason.iter().map(|(why, names)| format!("{} ({why})", names.join(", "))).collect();
+    format!("{} pair(s) of pictures left out: {}", left_out.len(), each.join("; "))
+}
+
 /// Reads the shapes and gives each usable pair to its row.
 ///
 /// # Errors

@@ -1,294 +1,380 @@
-//! CSV tables: streamed, hashed while read, every cell known by file, line and column.
+//! Tables of text: a session's own, with commas between fields and a dot before decimals, and those of other programs after some header
+//! lines. Every cell is known by file, line and column.
 
-use crate::columns::{MAX_COLUMNS, column_range};
-use crate::error::{InputError, SessionError, listed, not_utf8_table, quote};
-use crate::row::{Column, Row};
+use crate::columns::column_range;
+use crate::error::{InputError, SessionError, listed, not_utf8, quote};
+use crate::row::Row;
 use crate::units::split_unit;
 use crate::warning::{SessionWarning, WarningKind};
-use csv::ByteRecord;
-use sha2::{Digest, Sha256};
-use std::collections::HashMap;
-use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use csv::StringRecord;
 use std::path::Path;
+use wcal_core::provenance::sha256_hex;
 use wcal_core::ranges::Range;
-use wcal_core::text::{LATIN_1, other_than_text};
+use wcal_core::text::{decoded, utf8};
 use wcal_core::{InputFile, Purpose};
 
-/// Longest line that is read, bytes: what is longer was never written as a table.
-const MAX_LINE: u64 = 1 << 22;
-/// Names of a scalar table's column that groups its readings where it counts no repetitions.
-const GROUPS: [&str; 3] = ["run", "pose", "day"];
+/// Longest line, bytes, and most columns: what has more was never written as a table.
+const MAX_LINE: usize = 1 << 22;
+const MAX_COLUMNS: usize = 1000;
+/// Lines that are looked at to tell another separator.
+const LOOK: usize = 20;
+/// Names of a scalar table's column that groups its readings, the first that there is: counters of repetitions are no quantities that act,
+/// whichever of them groups.
+const GROUPS: [&str; 5] = ["cycle", "replicate", "run", "pose", "day"];
+/// Those that are counters wherever they stand.
+const COUNTERS: usize = 2;
 
 /// Marks the rows of simulated data; a mark is no covariate.
 pub const SIMULATED_COLUMN: &str = "simulated";
 
-/// An open table positioned after its header.
-pub(crate) struct Table {
-    file: String,
-    columns: Vec<String>,
-    ranges: Vec<&'static Range>,
-    used: Vec<bool>,
-    lines: Lines,
-    record: ByteRecord,
-    rows: usize,
+/// What stands between fields.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Separator {
+    /// A comma, with quotes as in RFC 4180.
+    #[default]
+    Comma,
+    /// A semicolon.
+    Semicolon,
+    /// A tab.
+    Tab,
+    /// Any run of blanks, as in the NIST files.
+    Whitespace,
 }
 
-impl Table {
-    /// Opens `path` and reads the header; messages and rows call the file `name`.
-    pub(crate) fn open(path: &Path, name: &str) -> Result<Self, SessionError> {
-        let opened = wcal_core::files::open(path).and_then(|file| {
-            let mut file = BufReader::with_capacity(1 << 16, file);
-            let other = other_than_text(file.fill_buf()?);
-            Ok((file, other))
-        });
-        let (file, other) = opened.map_err(|e| missing_is_a_defect(path, name, e))?;
-        if let Some(other) = other {
-            return Err(not_utf8_table(name, other).into());
-        }
-        let mut lines = Lines { file, digest: Sha256::new(), text: Vec::new(), line: 0, open_end: false };
-        let io = |e| SessionError::io("reading", path, e);
-        if !lines.next_line().map_err(io)? {
-            return Err(InputError::new(name, "a header line and rows", "an empty file").into());
-        }
-        let mut record = ByteRecord::new();
-        check_columns(name, 1, fields(&lines.text, b','))?;
-        split_line(lines.text.trim_ascii_end(), b',', &mut record);
-        let columns = header(name, &record)?;
-        let used = columns.iter().map(|c| c == SIMULATED_COLUMN).collect();
-        let ranges = columns.iter().map(|c| column_range(c)).collect();
-        Ok(Self { file: name.to_owned(), columns, ranges, used, lines, record, rows: 0 })
-    }
+impl Separator {
+    /// Each with its character, and its name in a sentence and on the command line.
+    const ALL: [(Self, char, &'static str, &'static str); 3] = [
+        (Self::Comma, ',', "commas", "comma"),
+        (Self::Semicolon, ';', "semicolons", "semicolon"),
+        (Self::Tab, '\t', "tabs", "tab"),
+    ];
+}
 
-    /// File name as used in messages.
-    pub(crate) fn file(&self) -> &str {
-        &self.file
-    }
+impl std::str::FromStr for Separator {
+    type Err = String;
 
-    /// The column, if the table has it. A column of the same quantity in another unit is an error.
-    pub(crate) fn optional(&mut self, name: &'static str) -> Result<Option<Column>, InputError> {
-        if let Some(index) = self.columns.iter().position(|c| c == name) {
-            self.used[index] = true;
-            return Ok(Some(Column { index, name }));
-        }
-        let (base, unit) = split_unit(name);
-        if unit.is_empty() {
-            return Ok(None);
-        }
-        for column in &self.columns {
-            let (other_base, other_unit) = split_unit(column);
-            if other_base == base && !other_unit.is_empty() {
-                return Err(self.wrong_unit(name, unit, column, other_unit));
-            }
-        }
-        Ok(None)
-    }
-
-    /// The column whose readings are left out together: cycle or replicate, else the first of [`GROUPS`] that the table has.
-    pub(crate) fn group(&mut self) -> Result<Option<Column>, InputError> {
-        // Counters of repetitions are no quantities that act, whichever of them groups.
-        let counters = [self.optional("cycle")?, self.optional("replicate")?];
-        if let Some(counter) = counters.into_iter().flatten().next() {
-            return Ok(Some(counter));
-        }
-        for name in GROUPS {
-            if let Some(column) = self.optional(name)? {
-                return Ok(Some(column));
-            }
-        }
-        Ok(None)
-    }
-
-    /// The column, which must be there.
-    pub(crate) fn required(&mut self, name: &'static str) -> Result<Column, InputError> {
-        if let Some(column) = self.optional(name)? {
-            return Ok(column);
-        }
-        let (base, unit) = split_unit(name);
-        let near = self.columns.iter().find(|c| c.as_str() == base || c.eq_ignore_ascii_case(name));
-        if let Some(near) = near.filter(|_| !unit.is_empty() || base == name) {
-            let hint = format!("rename {near:?} if its values fit the name {name:?}");
-            return Err(self.no_column(name, &format!("a column {near:?}")).hint(hint));
-        }
-        Err(self.no_column(name, &format!("the columns {}", listed(&self.columns))))
-    }
-
-    fn no_column(&self, name: &str, found: &str) -> InputError {
-        InputError::new(&self.file, format!("a column {name}"), found).at(1).field(name)
-    }
-
-    fn wrong_unit(&self, name: &str, unit: &str, column: &str, other: &str) -> InputError {
-        InputError::new(
-            &self.file,
-            format!("a column {name} in {unit}"),
-            format!("a column {column} in {other}"),
-        )
-        .at(1)
-        .field(name)
-        .hint(format!("convert the values to {unit} and rename the column"))
-    }
-
-    /// Columns that nobody asked for, with their index.
-    pub(crate) fn unused(&self) -> Vec<(usize, String)> {
-        let unused = self.columns.iter().enumerate().filter(|(i, _)| !self.used[*i]);
-        unused.map(|(i, c)| (i, c.clone())).collect()
-    }
-
-    /// Columns that somebody asked for.
-    pub(crate) fn present(&self) -> Vec<String> {
-        self.columns.iter().zip(&self.used).filter(|(_, used)| **used).map(|(c, _)| c.clone()).collect()
-    }
-
-    /// The next row, or none at the end.
-    pub(crate) fn next_row(&mut self) -> Result<Option<Row<'_>>, SessionError> {
-        let more = self.lines.next_line();
-        if !more.map_err(|e| SessionError::io("reading", Path::new(&self.file), e))? {
-            return Ok(None);
-        }
-        split_line(self.lines.text.trim_ascii_end(), b',', &mut self.record);
-        let line = self.lines.line;
-        if self.record.len() != self.columns.len() {
-            return Err(self.wrong_width(line).into());
-        }
-        self.rows += 1;
-        let (file, columns, ranges) = (self.file.as_str(), &self.columns, &self.ranges);
-        Ok(Some(Row { file, line, columns, ranges, record: &self.record }))
-    }
-
-    /// Of a table that was read to its end: whether its last row is without the end of its line.
-    pub(crate) fn open_end(&self) -> Option<SessionWarning> {
-        let kind = WarningKind::OpenEnd { line: self.lines.line };
-        self.lines.open_end.then(|| SessionWarning::new(&self.file, kind))
-    }
-
-    fn wrong_width(&self, line: usize) -> InputError {
-        let (fields, wanted) = (self.record.len(), self.columns.len());
-        let last = self.columns.get(fields).cloned();
-        let found = format!("{fields} fields");
-        let error = InputError::new(&self.file, format!("{wanted} fields as in the header"), found).at(line);
-        match last {
-            Some(first_missing) => error.field(first_missing).hint("is the file truncated?"),
-            None => error.hint("decimals are written with a dot; an unquoted comma separates fields"),
-        }
-    }
-
-    /// The file's hash, once every row has been read; an error where there was none.
-    pub(crate) fn finish(self) -> Result<InputFile, InputError> {
-        if self.rows == 0 {
-            return Err(InputError::new(&self.file, "at least one row below the header", "an empty table"));
-        }
-        let digest = self.lines.digest.finalize();
-        let sha256 = digest.iter().map(|b| format!("{b:02x}")).collect();
-        Ok(InputFile { path: self.file, sha256, purpose: Purpose::Description })
+    /// By its name on the command line.
+    fn from_str(name: &str) -> Result<Self, String> {
+        let listed = Self::ALL.iter().find(|s| s.3 == name).map(|s| s.0);
+        let found = listed.or((name == "whitespace").then_some(Self::Whitespace));
+        found.ok_or_else(|| format!("expected comma, semicolon, tab or whitespace, found {name:?}"))
     }
 }
 
-/// Fields of a line, before anything is made of them; quoted separators count, too.
-pub(crate) fn fields(text: &[u8], separator: u8) -> usize {
-    1 + text.iter().filter(|byte| **byte == separator).count()
+/// How a foreign table is laid out.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct TextTableLayout {
+    /// Lines before the table.
+    pub skip_lines: usize,
+    /// Names of the columns where the table has no header line of its own.
+    pub columns: Option<Vec<String>>,
+    /// Separator.
+    pub separator: Separator,
+    /// Decimals are written with a comma.
+    pub decimal_comma: bool,
 }
 
-/// Refuses a line of more columns than a table has.
-pub(crate) fn check_columns(name: &str, line: usize, columns: usize) -> Result<(), InputError> {
-    if columns <= MAX_COLUMNS {
-        return Ok(());
-    }
-    Err(InputError::new(name, format!("at most {MAX_COLUMNS} columns"), columns.to_string()).at(line))
-}
-
-fn header(name: &str, record: &ByteRecord) -> Result<Vec<String>, InputError> {
-    let mut columns: Vec<String> = Vec::with_capacity(record.len());
-    for field in record {
-        let text = std::str::from_utf8(field).map_err(|_| not_utf8_table(name, LATIN_1).at(1))?;
-        columns.push(text.trim_start_matches('\u{feff}').trim().to_owned());
-    }
-    if columns.len() == 1 {
-        for (separator, called) in [(';', "semicolons"), ('\t', "tabs")] {
-            if columns[0].contains(separator) {
-                return Err(InputError::new(
-                    name,
-                    "fields separated by commas",
-                    format!("fields separated by {called}"),
-                )
-                .at(1)
-                .hint("wcal import makes a session's table of any other; or save it with commas between fields and a dot for decimals"));
-            }
-        }
-    }
-    let mut first: HashMap<&str, usize> = HashMap::new();
-    for (index, column) in columns.iter().enumerate() {
-        if let Some(before) = first.insert(column, index) {
-            let found =
-                format!("column {} and column {} both named {}", before + 1, index + 1, quote(column));
-            return Err(InputError::new(name, "every column named once", found).at(1).field(column.clone()));
-        }
-    }
-    Ok(columns)
-}
-
-fn missing_is_a_defect(path: &Path, name: &str, error: std::io::Error) -> SessionError {
-    if error.kind() == std::io::ErrorKind::NotFound {
-        return InputError::new(name, "a file in the session's folder", "no such file")
-            .hint(path.display().to_string())
-            .into();
-    }
-    SessionError::io("reading", path, error)
-}
-
-/// Records of a file, one a line: hashed as read, blank lines skipped, line numbers exact for any line ending.
-struct Lines {
-    file: BufReader<File>,
-    digest: Sha256,
-    /// The latest line that is not blank.
-    text: Vec<u8>,
-    /// Its number, from 1.
-    line: usize,
-    /// The file ends within it.
+/// A table in memory; cells are text without blanks around it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TextTable {
+    /// File name for messages.
+    pub file: String,
+    /// SHA-256 of the file.
+    pub sha256: String,
+    /// Column names.
+    pub columns: Vec<String>,
+    /// Line in the file and cells.
+    pub rows: Vec<(usize, StringRecord)>,
+    /// Its encoding, where that is not UTF-8.
+    pub encoding: Option<&'static str>,
+    /// Numbers that each column may have.
+    ranges: Vec<Range>,
+    /// The file ends within its last row.
     open_end: bool,
+    decimal_comma: bool,
+    /// The separator that its lines have in place of the stated one.
+    hint: Option<String>,
 }
 
-impl Lines {
-    /// The next line that is not blank; false at the end of the file.
-    fn next_line(&mut self) -> std::io::Result<bool> {
-        loop {
-            self.text.clear();
-            let read = (&mut self.file).take(MAX_LINE + 1).read_until(b'\n', &mut self.text)?;
-            if read == 0 {
-                return Ok(false);
-            }
-            if read as u64 > MAX_LINE {
-                let line = self.line + 1;
-                let found = format!("line {line}: expected at most {MAX_LINE} bytes, found more");
-                return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, found));
-            }
-            self.digest.update(&self.text);
-            self.line += 1;
-            let text = self.text.trim_ascii_end();
-            if text.contains(&b'\r') {
-                let line = self.line;
-                let found = format!(
-                    "line {line}: expected lines that end in LF or CR LF, found CR alone (wcal import reads them)"
+/// Reads a foreign table; its lines end in LF, CR LF or CR.
+///
+/// # Errors
+/// A file that cannot be read, is no text, has no row, or has a row whose number of fields differs from the header's.
+pub fn read_text_table(path: &Path, layout: &TextTableLayout) -> Result<TextTable, SessionError> {
+    let file = path.display().to_string();
+    let bytes = wcal_core::files::read(path).map_err(|e| SessionError::io("reading", path, e))?;
+    let (mut text, encoding) = decoded(&bytes).map_err(|other| not_utf8(&file, &bytes, other))?;
+    if text.contains('\r') && !text.contains('\n') {
+        text = text.replace('\r', "\n");
+    }
+    let table = parse(&file, &text, layout)?;
+    Ok(TextTable { sha256: sha256_hex(&bytes), encoding, ..table })
+}
+
+/// Reads a table of a session, which messages call `name`.
+///
+/// # Errors
+/// As [`read_text_table`], and where it is in another form than a session's tables have, or names a column twice.
+pub(crate) fn read_own(path: &Path, name: &str) -> Result<TextTable, SessionError> {
+    let bytes = wcal_core::files::read(path).map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => {
+            InputError::new(name, "a file in the session's folder", "no such file").into()
+        }
+        _ => SessionError::io("reading", path, e),
+    })?;
+    let way_out = |error: InputError| error.hint("wcal import reads it as it is");
+    let text = utf8(&bytes).map_err(|other| {
+        let error = not_utf8(name, &bytes, other);
+        if other.is_text { way_out(error) } else { error }
+    })?;
+    if text.contains('\r') && !text.contains('\n') {
+        return Err(way_out(InputError::new(name, "lines that end in LF or CR LF", "CR alone")).into());
+    }
+    let table = parse(name, text, &TextTableLayout::default())?;
+    let twice = |k: &usize| table.columns[..*k].contains(&table.columns[*k]);
+    if let Some(column) = (0..table.columns.len()).find(twice).map(|k| &table.columns[k]) {
+        let error = InputError::new(name, "every column named once", format!("{} twice", quote(column)));
+        return Err(error.at(1).field(column).into());
+    }
+    Ok(TextTable { sha256: sha256_hex(&bytes), ..table })
+}
+
+fn parse(file: &str, text: &str, layout: &TextTableLayout) -> Result<TextTable, InputError> {
+    let skip_lines = layout.skip_lines;
+    let start = text.split_inclusive('\n').take(skip_lines).map(str::len).sum::<usize>();
+    let text = &text[start..];
+    let error = |expected: String, found: String| InputError::new(file, expected, found);
+    if let Some((k, line)) = text.lines().enumerate().find(|(_, line)| line.len() > MAX_LINE) {
+        let expected = format!("at most {MAX_LINE} bytes in a line");
+        return Err(error(expected, line.len().to_string()).at(skip_lines + k + 1));
+    }
+    let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let mut lines = lines.map(|(k, line)| (skip_lines + k + 1, split(line, layout.separator)));
+    let columns = match &layout.columns {
+        Some(names) => names.clone(),
+        None => {
+            let header = lines.next();
+            let header =
+                header.ok_or_else(|| error("a header line and rows".into(), "an empty file".into()))?;
+            header.1.iter().map(str::to_owned).collect()
+        }
+    };
+    if columns.len() > MAX_COLUMNS {
+        return Err(error(format!("at most {MAX_COLUMNS} columns"), columns.len().to_string()));
+    }
+    let hint = other_separator(text, layout.separator);
+    let mut rows = Vec::new();
+    for (line, cells) in lines {
+        if cells.len() != columns.len() {
+            let expected = format!("{} fields ({})", columns.len(), listed(&columns));
+            let usual = "is the file truncated? decimals are written with a dot; for another table see --separator, --skip-lines and --columns of wcal import";
+            let error = error(expected, format!("{} fields", cells.len())).at(line);
+            return Err(error.hint(hint.as_deref().unwrap_or(usual)));
+        }
+        rows.push((line, cells));
+    }
+    if rows.is_empty() {
+        return Err(error("at least one row below the header".into(), "an empty table".into()));
+    }
+    let ranges = columns.iter().map(|column| column_range(column)).collect();
+    let (open_end, decimal_comma) = (!text.ends_with('\n'), layout.decimal_comma);
+    let (file, sha256) = (file.to_owned(), String::new());
+    Ok(TextTable { file, sha256, columns, rows, encoding: None, ranges, open_end, decimal_comma, hint })
+}
+
+/// Cells of a line; quotes as in RFC 4180, within the line.
+fn split(line: &str, separator: Separator) -> StringRecord {
+    let Some((_, mark, ..)) = Separator::ALL.iter().find(|s| s.0 == separator) else {
+        return line.split_whitespace().collect();
+    };
+    if !line.contains('"') {
+        return line.split(*mark).map(str::trim).collect();
+    }
+    let mut reader = csv::ReaderBuilder::new();
+    reader.has_headers(false).delimiter(*mark as u8).trim(csv::Trim::All);
+    // Reading from memory cannot fail; an open quote ends with the line and shows as a wrong number of fields.
+    reader.from_reader(line.as_bytes()).records().next().and_then(Result::ok).unwrap_or_default()
+}
+
+/// Another separator than the stated one, which stands equally often in every line while the stated one stands in none; in words.
+fn other_separator(text: &str, stated: Separator) -> Option<String> {
+    let lines = || text.lines().filter(|line| !line.trim().is_empty()).take(LOOK);
+    let counts = |mark: char| lines().map(move |line| line.matches(mark).count());
+    let (_, own, not, _) = Separator::ALL.iter().find(|s| s.0 == stated)?;
+    let (_, mark, called, option) =
+        *Separator::ALL.iter().filter(|s| s.0 != stated).find(|(_, mark, ..)| {
+            let first = counts(*mark).next().unwrap_or(0);
+            first > 0 && counts(*mark).all(|n| n == first)
+        })?;
+    // Decimal commas stand in the rows and not in the header.
+    let decimals = lines().skip(1).any(|line| line.split(mark).any(is_decimal_comma));
+    if counts(*own).next() != Some(0) || (counts(*own).any(|n| n > 0) && !decimals) {
+        return None;
+    }
+    let decimals = if decimals && *own == ',' { " --decimal-comma" } else { "" };
+    Some(format!(
+        "fields are separated by {called}, not {not}; wcal import reads them with --separator {option}{decimals}"
+    ))
+}
+
+/// `1,5` and `-0,25`.
+fn is_decimal_comma(cell: &str) -> bool {
+    let cell = cell.trim();
+    cell.matches(',').count() == 1 && cell.replace(',', ".").parse::<f64>().is_ok()
+}
+
+/// Digits in groups of three with dots between them, as 1.000 or 12.500.000.
+fn grouped(text: &str) -> bool {
+    let mut groups = text.split('.');
+    let digits = |g: &str| g.chars().all(|c| c.is_ascii_digit());
+    let first = groups.next().is_some_and(|g| (1..=3).contains(&g.len()) && digits(g) && !g.starts_with('0'));
+    first && text.contains('.') && groups.all(|g| g.len() == 3 && digits(g))
+}
+
+impl TextTable {
+    /// What deserves attention: the file may have been cut off.
+    pub fn warning(&self) -> Option<SessionWarning> {
+        let (line, _) = self.rows.last()?;
+        let text = format!(
+            "the file ends within line {line}, without a line end: if it was cut off there, its last number may lack digits"
+        );
+        self.open_end.then(|| SessionWarning::new(&self.file, WarningKind::OpenEnd, text))
+    }
+
+    /// The file and its hash.
+    pub(crate) fn input(&self, purpose: Purpose) -> InputFile {
+        InputFile { path: self.file.clone(), sha256: self.sha256.clone(), purpose }
+    }
+
+    /// The rows, cells by the names of their columns.
+    pub(crate) fn by_name(&self) -> impl Iterator<Item = Row<'_>> {
+        (0..self.rows.len()).map(|index| self.row(index))
+    }
+
+    pub(crate) fn row(&self, index: usize) -> Row<'_> {
+        Row { table: self, index, line: self.rows[index].0 }
+    }
+
+    /// Index of a column of a session's table, which names each once.
+    pub(crate) fn place(&self, name: &str) -> Option<usize> {
+        self.columns.iter().position(|c| c == name)
+    }
+
+    /// Takes what a reader knows of a session's table; the others, by name. `required` must be there, and none may be there in another unit.
+    pub(crate) fn others(&self, required: &[&str], known: &[&str]) -> Result<Vec<String>, InputError> {
+        for name in required.iter().chain(known).filter(|name| self.place(name).is_none()) {
+            let (base, unit) = split_unit(name);
+            let other = |c: &&String| {
+                let (other, of) = split_unit(c);
+                !unit.is_empty() && !of.is_empty() && other == base
+            };
+            if let Some(column) = self.columns.iter().find(other) {
+                let of = split_unit(column).1;
+                let error = InputError::new(
+                    &self.file,
+                    format!("a column {name} in {unit}"),
+                    format!("a column {column} in {of}"),
                 );
-                return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, found));
+                let hint = format!("convert the values to {unit} and rename the column");
+                return Err(error.at(1).field(*name).hint(hint));
             }
-            if !text.is_empty() {
-                self.open_end = self.text.last() != Some(&b'\n');
-                return Ok(true);
+            if required.contains(name) {
+                return Err(self.no_column(name).at(1));
             }
         }
+        let is_known = |c: &&String| !required.iter().chain(known).chain([&SIMULATED_COLUMN]).any(|n| n == c);
+        Ok(self.columns.iter().filter(is_known).cloned().collect())
     }
-}
 
-/// Splits one line into fields; quotes as in RFC 4180, within the line.
-pub(crate) fn split_line(text: &[u8], separator: u8, record: &mut ByteRecord) {
-    record.clear();
-    if !text.contains(&b'"') {
-        text.split(|byte| *byte == separator).for_each(|field| record.push_field(field));
-        return;
+    /// The column whose readings are left out together: a counter of repetitions, or another group.
+    pub(crate) fn group(&self) -> Vec<&'static str> {
+        let first = GROUPS.iter().position(|name| self.place(name).is_some()).unwrap_or(0);
+        // The column that groups stands first; a second counter is known as one.
+        let counters = GROUPS[..COUNTERS].iter().filter(|name| **name != GROUPS[first]);
+        [GROUPS[first]].into_iter().chain(counters.copied()).collect()
     }
-    let mut reader = csv::ReaderBuilder::new().has_headers(false).delimiter(separator).from_reader(text);
-    // Reading from memory cannot fail; an open quote ends with the line and shows as a wrong number of fields.
-    if !matches!(reader.read_byte_record(record), Ok(true)) {
-        record.clear();
+
+    /// Index of a column; of several with one name and the same cells the first.
+    ///
+    /// # Errors
+    /// Where there is no such column (the message lists those that there are), or several that differ.
+    pub fn column(&self, name: &str) -> Result<usize, InputError> {
+        let own = self.columns_named(name);
+        let first = *own.first().ok_or_else(|| self.no_column(name))?;
+        let other = |k: usize| self.rows.iter().find(|(_, cells)| cells[k] != cells[first]);
+        if let Some((k, (line, _))) = own.iter().skip(1).find_map(|&k| Some((k, other(k)?))) {
+            let found = format!("columns {} and {} of that name, which differ", first + 1, k + 1);
+            let error =
+                InputError::new(&self.file, format!("one column {name}"), found).at(*line).field(name);
+            return Err(error.hint("name every column by --columns, and skip the header by --skip-lines"));
+        }
+        Ok(first)
+    }
+
+    fn no_column(&self, name: &str) -> InputError {
+        let found = format!("the columns {}", listed(&self.columns));
+        let error = InputError::new(&self.file, format!("a column {name}"), found).field(name);
+        match &self.hint {
+            Some(hint) => error.hint(hint),
+            None => error,
+        }
+    }
+
+    /// Indices of the columns of one name.
+    pub fn columns_named(&self, name: &str) -> Vec<usize> {
+        (0..self.columns.len()).filter(|&k| self.columns[k] == name).collect()
+    }
+
+    /// A column in which a dot stands between thousands beside plain numbers: nobody writes 1.500 beside 500 for one and a half.
+    ///
+    /// # Errors
+    /// Where the column looks so and decimals are not declared to have a comma.
+    pub fn check_thousands(&self, column: usize) -> Result<(), InputError> {
+        let cells = || self.rows.iter().map(|(line, c)| (*line, c[column].trim_start_matches(['-', '+'])));
+        let plain = |c: &str| c.len() >= 3 && c.chars().all(|d| d.is_ascii_digit());
+        let dotted = || cells().filter(|(_, c)| c.contains('.'));
+        let suspect = dotted().find(|(_, c)| grouped(c) && c.ends_with('0'));
+        let Some((line, cell)) = suspect.filter(|_| !self.decimal_comma) else { return Ok(()) };
+        if !dotted().all(|(_, c)| grouped(c)) || !cells().any(|(_, c)| plain(c)) {
+            return Ok(());
+        }
+        let found = format!("{cell} beside whole numbers");
+        let error = InputError::new(&self.file, "decimals written alike in a column", found);
+        let hint = "a thousands separator? --decimal-comma reads the dot as one";
+        Err(error.at(line).field(&self.columns[column]).hint(hint))
+    }
+
+    /// Finite number in a cell that its column may have; none when empty.
+    ///
+    /// # Errors
+    /// Where the cell holds anything else.
+    pub fn number(&self, row: usize, column: usize) -> Result<Option<f64>, InputError> {
+        let (line, cells) = &self.rows[row];
+        let (cell, name) = (&cells[column], &self.columns[column]);
+        if cell.is_empty() {
+            return Ok(None);
+        }
+        let error = |expected: &str| InputError::new(&self.file, expected, quote(cell)).at(*line).field(name);
+        let parsed = if self.decimal_comma {
+            // Where a comma stands before decimals a dot stands between thousands, or the table is of another kind.
+            let unsigned = cell.trim_start_matches(['-', '+']);
+            let whole = unsigned.split_once(',').map_or(unsigned, |(whole, _)| whole);
+            let commas = || self.rows.iter().any(|(_, cells)| cells.iter().any(|c| c.contains(',')));
+            if cell.contains('.') && (!grouped(whole) || !commas()) {
+                let hint = "leave --decimal-comma out where decimals have a dot; with it a dot stands between thousands";
+                return Err(error("decimals with a comma").hint(hint));
+            }
+            cell.replace('.', "").replace(',', ".").parse::<f64>()
+        } else {
+            cell.parse::<f64>()
+        };
+        match parsed {
+            Ok(value) if value.is_finite() => match self.ranges[column].judge(name, value, true) {
+                Ok(()) => Ok(Some(value)),
+                Err(e) => Err(InputError::range(&self.file, e).at(*line)),
+            },
+            Ok(_) => Err(error("a finite number")),
+            Err(_) => Err(error("a number")),
+        }
     }
 }

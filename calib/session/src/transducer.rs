@@ -1,43 +1,21 @@
 //! Sessions of kind "transducer": one stimulus, one response.
 
-use crate::document::Section;
-use crate::error::{InputError, SessionError, quote};
-use crate::row::{Clock, PointNumbers};
-use crate::screening::{Names, Screened, View, screen};
-use crate::table::Table;
-use crate::warning::{SessionWarning, WarningKind};
-use crate::whisker_meta::warn_unknown;
+use crate::error::{InputError, SessionError};
+use crate::row::{PointNumbers, clock_problem};
+use crate::screening::{contradiction, copied, overflow};
+use crate::table::read_own;
+use crate::warning::SessionWarning;
+use serde::Deserialize;
 use std::path::Path;
-use wcal_core::{InputFile, TransducerModel, TransducerRow};
+use wcal_core::text::brief;
+use wcal_core::{InputFile, Purpose, TransducerModel, TransducerRow};
 
 /// `[transducer]`.
-pub(crate) struct TransducerMeta {
+#[derive(Deserialize)]
+pub(crate) struct TransducerSection {
     pub(crate) stimulus_unit: String,
     pub(crate) response_unit: String,
     pub(crate) model: TransducerModel,
-}
-
-/// Reads `[transducer]`.
-pub(crate) fn read_meta(
-    root: &Section<'_>,
-    warnings: &mut Vec<SessionWarning>,
-) -> Result<TransducerMeta, InputError> {
-    let section = root.section("transducer")?;
-    let section = section.ok_or_else(|| root.error("transducer", "a table [transducer]", "nothing"))?;
-    let expected = "\"constant\", \"linear\" or \"quadratic\"";
-    let model = match section.required_text("model", expected)?.as_str() {
-        "constant" => TransducerModel::Constant,
-        "linear" => TransducerModel::Linear,
-        "quadratic" => TransducerModel::Quadratic,
-        other => return Err(section.error("model", expected, quote(other))),
-    };
-    let meta = TransducerMeta {
-        stimulus_unit: section.required_text("stimulus_unit", "a unit, e.g. \"N\"")?,
-        response_unit: section.required_text("response_unit", "a unit, e.g. \"V\"")?,
-        model,
-    };
-    warn_unknown(&section, warnings);
-    Ok(meta)
 }
 
 /// Rows, names of the covariates, the file's hash.
@@ -47,72 +25,55 @@ pub(crate) struct TransducerTable {
     pub(crate) input: InputFile,
 }
 
-impl Screened for TransducerRow {
-    fn view(&self) -> View {
-        View {
-            line: self.line,
-            point: self.point,
-            role: self.role,
-            setting: self.stimulus,
-            reading: self.response,
-            t_s: self.t_s,
-            direction: self.direction,
-            temperature_degc: self.temperature_degc,
-            more: self.covariates.clone(),
-        }
-    }
-}
-
-/// Reads a table; `reference` are the rows of the points table, where this is another one. Columns beyond the known ones are covariates when their first cell is a number.
+/// Reads a table. Columns beyond the known ones are covariates when their first cell is a number.
 pub(crate) fn read_rows(
     path: &Path,
     name: &str,
-    reference: &[TransducerRow],
+    purpose: Purpose,
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<TransducerTable, SessionError> {
-    let mut table = Table::open(path, name)?;
-    let (point, role) = (table.required("point")?, table.required("role")?);
-    let (stimulus, response) = (table.required("stimulus")?, table.required("response")?);
-    let (t_s, temperature) = (table.optional("t_s")?, table.optional("temperature_degc")?);
-    let (direction, replicate) = (table.optional("direction")?, table.group()?);
-    let mut extra = table.unused();
+    let table = read_own(path, name)?;
+    let group = table.group();
+    let required = ["point", "role", "stimulus", "response"];
+    let known = [&["t_s", "temperature_degc", "direction"][..], &group].concat();
+    let others = table.others(&required, &known)?;
+    let (covariates, without): (Vec<String>, Vec<String>) =
+        others.into_iter().partition(|column| matches!(table.row(0).number(column), Ok(Some(_))));
+    let without =
+        without.iter().map(|column| format!("column {} holds no numbers and is not used", brief(column)));
+    warnings.extend(without.map(|text| SessionWarning::other(name, text)));
     let mut points = PointNumbers::default();
-    let mut rows: Vec<TransducerRow> = Vec::new();
-    while let Some(row) = table.next_row()? {
-        if rows.is_empty() {
-            extra.retain(|(index, column)| {
-                let usable = matches!(row.number_at(*index, column), Ok(Some(_)));
-                if !usable {
-                    let kind = WarningKind::ColumnWithoutNumbers(column.clone());
-                    warnings.push(SessionWarning::new(name, kind));
-                }
-                usable
-            });
-        }
-        let covariate = |(index, column): &(usize, String)| {
-            row.number_at(*index, column)?
-                .ok_or_else(|| row.error(column, "a number (a covariate in every row)", "nothing"))
+    for row in table.by_name() {
+        points.note(&row, row.point()?)?;
+    }
+    let mut out = vec![false; table.rows.len()];
+    let read: Vec<&str> =
+        ["response", "temperature_degc"].into_iter().chain(covariates.iter().map(String::as_str)).collect();
+    warnings.extend(overflow(&table, [&["stimulus"], &read], &mut out)?);
+    warnings.extend(copied(&table, Some("response"), &mut out)?);
+    let mut rows = Vec::new();
+    for row in table.by_name().filter(|row| !out[row.index]) {
+        let covariate = |column: &String| {
+            let missing = || row.error(column, "a number (a covariate in every row)", "nothing");
+            row.number(column)?.ok_or_else(missing)
         };
-        let reading = TransducerRow {
+        rows.push(TransducerRow {
             source: name.to_owned(),
             line: row.line,
-            point: row.point(point)?,
-            role: row.role(role)?,
-            stimulus: row.required(stimulus)?,
-            response: row.required(response)?,
-            t_s: row.number(t_s)?,
-            temperature_degc: row.number(temperature)?,
-            direction: row.sign(direction)?,
-            replicate: row.count(replicate, 0)?,
-            covariates: extra.iter().map(covariate).collect::<Result<_, InputError>>()?,
-        };
-        points.note(&row, reading.point)?;
-        rows.push(reading);
+            point: row.point()?,
+            role: row.role()?,
+            stimulus: row.required("stimulus")?,
+            response: row.required("response")?,
+            t_s: row.number("t_s")?,
+            temperature_degc: row.temperature()?,
+            direction: row.sign("direction")?,
+            replicate: row.count(group[0], 0)?,
+            covariates: covariates.iter().map(covariate).collect::<Result<_, InputError>>()?,
+        });
     }
-    let covariates: Vec<String> = extra.into_iter().map(|(_, column)| column).collect();
-    let names = Names { setting: "stimulus", reading: "response", more: &covariates };
-    screen(name, &names, &mut rows, reference, warnings)?;
-    warnings.extend(Clock::of(rows.iter().map(|r| (r.line, r.t_s))).warning(name));
-    warnings.extend(table.open_end());
-    Ok(TransducerTable { rows, covariates, input: table.finish()? })
+    let steps: Vec<_> = rows.iter().map(|r| (r.line, r.stimulus, r.t_s, r.direction)).collect();
+    contradiction(name, "stimulus", &steps)?;
+    warnings.extend(clock_problem(name, rows.iter().map(|r| (r.line, r.t_s))));
+    warnings.extend(table.warning());
+    Ok(TransducerTable { rows, covariates, input: table.input(purpose) })
 }

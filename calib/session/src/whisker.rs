@@ -1,16 +1,16 @@
 //! Tables of whisker readings: `points.csv`, `holdout.csv`, `twin.csv`, and free tables for `predict`.
 
 use crate::error::{InputError, SessionError};
-use crate::left_out::LeftOut;
-use crate::row::Column;
-use crate::row::{Clock, PointNumbers, Row};
-use crate::table::Table;
-use crate::warning::{SessionWarning, WarningKind};
+use crate::row::{PointNumbers, Row, clock_problem};
+use crate::screening::{copied, overflow};
+use crate::table::{TextTable, read_own};
+use crate::warning::{SessionWarning, WarningKind, named};
 use crate::whisker_meta::WAVELENGTH_NM;
 use nalgebra::Vector3;
 use std::collections::HashSet;
 use std::path::Path;
-use wcal_core::{FbgSpec, InputFile, Role, Trajectory, TwinLabel, WhiskerRow};
+use wcal_core::text::brief;
+use wcal_core::{FbgSpec, InputFile, Purpose, Role, Trajectory, TwinLabel, WhiskerRow};
 
 /// No strain within the fibre's limit shifts a grating further than this, nm.
 const LARGEST_SHIFT_NM: f64 = 20.0;
@@ -34,8 +34,6 @@ pub struct ReadingTable {
     pub input: InputFile,
     /// What deserves attention.
     pub warnings: Vec<SessionWarning>,
-    /// Optional columns that are present, by name.
-    pub columns: Vec<String>,
 }
 
 /// Reads a free table of whisker readings for prediction: only the fbg columns are required. A row without `point` gets
@@ -46,42 +44,6 @@ pub struct ReadingTable {
 pub fn load_table(path: &Path, fbg: &FbgSpec) -> Result<ReadingTable, SessionError> {
     let name = path.display().to_string();
     read_rows(path, &name, &mut fbg.clone(), &[], ColumnRequirement::Readings)
-}
-
-struct Columns {
-    point: Option<Column>,
-    role: Option<Column>,
-    trajectory: Option<Column>,
-    groove: Option<[Column; 3]>,
-    fbg: Wavelengths,
-    replicate: Option<Column>,
-    t_s: Option<Column>,
-    stage: Option<Column>,
-    direction: Option<Column>,
-    speed: Option<Column>,
-    dwell: Option<Column>,
-    temperature: Option<Column>,
-    sd: [Option<Column>; 2],
-    samples: Option<Column>,
-    average: Option<Column>,
-    stream: Option<Column>,
-}
-
-impl Columns {
-    /// Columns of instruments that write an overflow value for a reading that failed.
-    fn sensed(&self) -> impl Iterator<Item = Column> + use<> {
-        let (gratings, reference) = match &self.fbg {
-            Wavelengths::Absolute { columns, reference, .. } | Wavelengths::Shift { columns, reference } => {
-                (*columns, *reference)
-            }
-        };
-        gratings.into_iter().chain(reference).chain(self.temperature)
-    }
-}
-
-enum Wavelengths {
-    Absolute { columns: [Column; 2], nominal_nm: [f64; 2], reference: Option<Column> },
-    Shift { columns: [Column; 2], reference: Option<Column> },
 }
 
 /// Columns of a whisker's table in the order of the reference: those that an import takes by their names, and a recorded session has with
@@ -112,62 +74,11 @@ pub const WHISKER_COLUMNS: [&str; 23] = [
     "average_s",
 ];
 
-fn find_columns(
-    table: &mut Table,
-    fbg: &FbgSpec,
-    requirement: ColumnRequirement,
-) -> Result<Columns, InputError> {
-    let in_session = requirement == ColumnRequirement::Session;
-    let need = |table: &mut Table, name: &'static str| {
-        if in_session { table.required(name).map(Some) } else { table.optional(name) }
-    };
-    let point = need(table, "point")?;
-    let role = need(table, "role")?;
-    let trajectory = need(table, "trajectory")?;
-    let groove = match (need(table, "groove_x_mm")?, need(table, "groove_y_mm")?, need(table, "groove_z_mm")?)
-    {
-        (Some(x), Some(y), Some(z)) => Some([x, y, z]),
-        _ => None,
-    };
-    Ok(Columns {
-        point,
-        role,
-        trajectory,
-        groove,
-        fbg: find_wavelengths(table, fbg)?,
-        replicate: table.optional("replicate")?,
-        t_s: table.optional("t_s")?,
-        stage: table.optional("stage_mm")?,
-        direction: table.optional("direction")?,
-        speed: table.optional("speed_mm_s")?,
-        dwell: table.optional("dwell_s")?,
-        temperature: table.optional("temperature_degc")?,
-        sd: [table.optional("fbg_1_sd_pm")?, table.optional("fbg_2_sd_pm")?],
-        samples: table.optional("samples")?,
-        average: table.optional("average_s")?,
-        // A free table may use the word for something else.
-        stream: if in_session { table.optional("stream")? } else { None },
-    })
-}
-
-fn find_wavelengths(table: &mut Table, fbg: &FbgSpec) -> Result<Wavelengths, InputError> {
-    let shifts = [table.optional("fbg_1_shift_nm")?, table.optional("fbg_2_shift_nm")?];
-    if let [Some(first), Some(second)] = shifts {
-        let reference = table.optional("fbg_ref_shift_nm")?;
-        return Ok(Wavelengths::Shift { columns: [first, second], reference });
-    }
-    let columns = [table.required("fbg_1_nm")?, table.required("fbg_2_nm")?];
-    let reference = table.optional("fbg_ref_nm")?;
-    match fbg.nominal_nm {
-        Some(nominal_nm) => Ok(Wavelengths::Absolute { columns, nominal_nm, reference }),
-        None => Err(InputError::new(
-            "session.toml",
-            "two nominal wavelengths in nm, since the table holds fbg_1_nm",
-            "nothing",
-        )
-        .field("fbg.nominal_nm")),
-    }
-}
+/// Columns that every session has.
+const IN_SESSION: [&str; 6] = ["point", "role", "trajectory", "groove_x_mm", "groove_y_mm", "groove_z_mm"];
+/// Those of the gratings and of the strain-isolated one, as shifts from nominal and as wavelengths.
+const SHIFTS: [&str; 3] = ["fbg_1_shift_nm", "fbg_2_shift_nm", "fbg_ref_shift_nm"];
+const WAVELENGTHS: [&str; 3] = ["fbg_1_nm", "fbg_2_nm", "fbg_ref_nm"];
 
 /// Reads a table of readings. A missing `reference_nominal_nm` is set from the first reading (its offset is part of the zero).
 pub(crate) fn read_rows(
@@ -177,72 +88,80 @@ pub(crate) fn read_rows(
     trajectories: &[Trajectory],
     requirement: ColumnRequirement,
 ) -> Result<ReadingTable, SessionError> {
-    let mut table = Table::open(path, name)?;
-    let columns = find_columns(&mut table, fbg, requirement)?;
-    let mut warnings = unused_columns(&table);
-    let known: HashSet<u32> = trajectories.iter().map(|t| t.id).collect();
-    let (mut points, mut clock, mut rows) = (PointNumbers::default(), Clock::default(), Vec::new());
+    let table = read_own(path, name)?;
+    let in_session = requirement == ColumnRequirement::Session;
+    let shifts = SHIFTS[..2].iter().all(|column| table.place(column).is_some());
+    let (gratings, foreign) = if shifts { (SHIFTS, WAVELENGTHS) } else { (WAVELENGTHS, SHIFTS) };
+    let required = [if in_session { &IN_SESSION[..] } else { &[] }, &gratings[..2]].concat();
+    let known = WHISKER_COLUMNS.iter().copied().filter(|column| !foreign.contains(column));
+    // A free table may use the word for something else.
+    let known: Vec<&str> = known.chain(in_session.then_some("stream")).collect();
+    let mut warnings = unknown_columns(name, table.others(&required, &known)?);
+    if !shifts && fbg.nominal_nm.is_none() {
+        let expected = "two nominal wavelengths in nm, since the table holds fbg_1_nm";
+        return Err(InputError::new("session.toml", expected, "nothing").field("fbg.nominal_nm").into());
+    }
+    let mut out = vec![false; table.rows.len()];
+    let sensed = [&gratings[..], &["temperature_degc"]].concat();
+    warnings.extend(overflow(&table, [&[], &sensed], &mut out)?);
     let [mut lost, mut late, mut moved] = [(); 3].map(|()| Vec::new());
-    let mut left_out = LeftOut::of(path, name, columns.sensed().collect())?;
-    let (mut places, mut order) = (Vec::new(), 0);
+    // A mean over several places is a reading of none of them.
+    let coded = out.clone();
+    for row in table.by_name().filter(|row| in_session && !coded[row.index]) {
+        if row.stream()? == "moved" {
+            moved.push(row.point()?);
+            out[row.index] = true;
+        }
+    }
+    let without_copies = out.clone();
     // A free table may hold the same rounded readings many times; a session's points are poses.
-    let numbered = columns.point.filter(|_| requirement == ColumnRequirement::Session);
-    while let Some(row) = table.next_row()? {
-        order += 1;
-        if let Some(code) = left_out.overflowed(&row)? {
-            let point = columns.point.map_or(Ok(order - 1), |c| row.point(c))?;
-            points.note(&row, point)?;
-            left_out.note_overflow(code, row.line, point);
+    if in_session {
+        warnings.extend(copied(&table, None, &mut out)?);
+    }
+    let known: HashSet<u32> = trajectories.iter().map(|t| t.id).collect();
+    let (mut points, mut rows) = (PointNumbers::default(), Vec::new());
+    for row in table.by_name() {
+        // The number of a copy was noted with the row that it copies.
+        if !out[row.index] || without_copies[row.index] {
+            points.note(&row, row.point_or_order()?)?;
+        }
+        if out[row.index] {
             continue;
         }
-        // A mean over several places is a reading of none of them.
-        if row.stream(columns.stream)? == Some("moved") {
-            let point = columns.point.map_or(Ok(order - 1), |c| row.point(c))?;
-            points.note(&row, point)?;
-            moved.push(point);
-            continue;
-        }
-        let reading = read_row(&row, &columns, fbg, &known, requirement, order - 1)?;
-        places.push((reading.line, reading.point));
-        let timed = reading.t_s.is_some();
-        if numbered.is_some() && left_out.note_cells(&row, numbered, timed) {
-            // Its point number and its time were noted with the row that it copies.
-            rows.push(reading);
-            continue;
-        }
-        points.note(&row, reading.point)?;
-        clock.note(row.line, reading.t_s);
-        match row.stream(columns.stream)? {
-            Some("lost") => lost.push(reading.point),
-            Some("late") => late.push(reading.point),
-            _ => {}
+        let reading = read_row(&row, gratings, fbg, &known, requirement)?;
+        if in_session {
+            match row.stream()? {
+                "lost" => lost.push(reading.point),
+                "late" => late.push(reading.point),
+                _ => {}
+            }
         }
         rows.push(reading);
     }
-    if !lost.is_empty() {
-        warnings.push(SessionWarning::new(name, WarningKind::ScansLost(lost)));
+    for (points, kind, says) in [
+        (lost, WarningKind::Other, ": scans are missing in the averaging window"),
+        (
+            late,
+            WarningKind::ScansLate,
+            ": scans came late, or the clocks could not be aligned: the bench or the recording computer had fallen behind",
+        ),
+        (
+            moved,
+            WarningKind::StageMoved,
+            " left out: the stage moved in their averaging window, or stood where it had not been sent",
+        ),
+    ] {
+        let text = format!("points {}{says}", named(&points));
+        warnings.extend((!points.is_empty()).then(|| SessionWarning::new(name, kind, text)));
     }
-    if !late.is_empty() {
-        warnings.push(SessionWarning::new(name, WarningKind::ScansLate(late)));
-    }
-    if !moved.is_empty() {
-        warnings.push(SessionWarning::new(name, WarningKind::StageMoved(moved)));
-    }
-    let copies = left_out.copies();
-    let copied = copies.iter().map(|&k| places[k]).collect();
-    let mut place = 0;
-    rows.retain(|_| {
-        place += 1;
-        copies.binary_search(&(place - 1)).is_err()
-    });
-    warnings.extend(left_out.warnings(name, copied, rows.len())?);
-    warnings.extend(
-        stuck(&rows).map(|column| SessionWarning::new(name, WarningKind::Stuck { column, rows: rows.len() })),
-    );
-    warnings.extend(clock.warning(name));
-    warnings.extend(table.open_end());
-    let columns = table.present();
-    Ok(ReadingTable { rows, input: table.finish()?, warnings, columns })
+    warnings.extend(stuck(&rows).map(|column| {
+        let rows = rows.len();
+        let text = format!("no sensitivity: {column} reads the same in all {rows} rows while another grating changes; it is dead, stuck or not connected");
+        SessionWarning::new(name, WarningKind::Stuck, text)
+    }));
+    warnings.extend(clock_problem(name, rows.iter().map(|r| (r.line, r.t_s))));
+    warnings.extend(table.warning());
+    Ok(ReadingTable { rows, input: table.input(Purpose::Description), warnings })
 }
 
 /// Readings of a table that a grating at work does not repeat to the last digit.
@@ -265,23 +184,26 @@ fn stuck(rows: &[WhiskerRow]) -> Option<String> {
     still.map(|g| format!("fbg_{}", g + 1))
 }
 
-pub(crate) fn unused_columns(table: &Table) -> Vec<SessionWarning> {
-    let of = |column: String| SessionWarning::new(table.file(), WarningKind::UnknownColumn(column));
-    table.unused().into_iter().map(|(_, column)| of(column)).collect()
+pub(crate) fn unknown_columns(file: &str, columns: Vec<String>) -> Vec<SessionWarning> {
+    let of = |column: String| {
+        let text = format!("column {} is not known and not used", brief(&column));
+        SessionWarning::new(file, WarningKind::UnknownColumn(column), text)
+    };
+    columns.into_iter().map(of).collect()
 }
 
 fn read_row(
     row: &Row<'_>,
-    columns: &Columns,
+    gratings: [&str; 3],
     fbg: &mut FbgSpec,
     known: &HashSet<u32>,
     requirement: ColumnRequirement,
-    order: i64,
 ) -> Result<WhiskerRow, InputError> {
-    let role = columns.role.map_or(Ok(Role::Verification), |c| row.role(c))?;
-    let mut trajectory = row.count(columns.trajectory, 0)?;
-    let groove_mm = groove(row, columns.groove)?;
-    if requirement == ColumnRequirement::Session {
+    let in_session = requirement == ColumnRequirement::Session;
+    let role = if row.table.place("role").is_some() { row.role()? } else { Role::Verification };
+    let mut trajectory = row.count("trajectory", 0)?;
+    let groove_mm = groove(row)?;
+    if in_session {
         let is_known = trajectory.is_some_and(|id| known.contains(&id));
         if role == Role::Rest {
             trajectory = trajectory.filter(|_| is_known);
@@ -292,114 +214,84 @@ fn read_row(
             return Err(row.error("groove_x_mm", "a number (only a rest row needs no groove)", "nothing"));
         }
     }
-    let (shift_pm, reference_shift_pm) = shifts(row, &columns.fbg, fbg)?;
-    let sd = [row.not_negative(columns.sd[0])?, row.not_negative(columns.sd[1])?];
-    let speed_mm_s = row.not_negative(columns.speed)?;
+    let nominal_nm = (gratings == WAVELENGTHS).then(|| fbg.nominal_nm.unwrap_or_default());
+    let shift = |g: usize| shift_pm(row, gratings[g], row.required(gratings[g])?, nominal_nm.map(|n| n[g]));
+    let reference_shift_pm = match row.number(gratings[2])? {
+        Some(nm) => {
+            let nominal_nm = nominal_nm.map(|_| fbg.reference_nominal_nm.unwrap_or(nm));
+            let shift_pm = shift_pm(row, gratings[2], nm, nominal_nm)?;
+            fbg.reference_nominal_nm = fbg.reference_nominal_nm.or(nominal_nm);
+            Some(shift_pm)
+        }
+        None => None,
+    };
+    let sd = [row.not_negative("fbg_1_sd_pm")?, row.not_negative("fbg_2_sd_pm")?];
+    let speed_mm_s = row.not_negative("speed_mm_s")?;
     // A settled row is the mean over a window that its times end: the mean is of its middle.
     let settled = speed_mm_s.is_none_or(|v| v == 0.0);
-    let average_s = row.not_negative(columns.average.filter(|_| settled))?;
+    let average_s = if settled { row.not_negative("average_s")? } else { None };
     let half_s = average_s.unwrap_or(0.0) / 2.0;
     Ok(WhiskerRow {
-        source: row.file.to_owned(),
+        source: row.table.file.clone(),
         line: row.line,
-        point: columns.point.map_or(Ok(order), |c| row.point(c))?,
+        point: row.point_or_order()?,
         role,
         trajectory,
-        replicate: row.count(columns.replicate, 0)?,
-        t_s: row.number(columns.t_s)?.map(|end_s| end_s - half_s),
-        stage_mm: row.number(columns.stage)?,
-        direction: row.sign(columns.direction)?,
+        replicate: row.count("replicate", 0)?,
+        t_s: row.number("t_s")?.map(|end_s| end_s - half_s),
+        stage_mm: row.number("stage_mm")?,
+        direction: row.sign("direction")?,
         speed_mm_s,
-        dwell_s: row.not_negative(columns.dwell)?.map(|end_s| (end_s - half_s).max(0.0)),
+        dwell_s: row.not_negative("dwell_s")?.map(|end_s| (end_s - half_s).max(0.0)),
         average_s,
         groove_mm,
-        temperature_degc: row.temperature(columns.temperature)?,
-        shift_pm,
+        temperature_degc: row.temperature()?,
+        shift_pm: [shift(0)?, shift(1)?],
         reference_shift_pm,
         shift_sd_pm: if let [Some(a), Some(b)] = sd { Some([a, b]) } else { None },
-        samples: row.count(columns.samples, 1)?,
+        samples: row.count("samples", 1)?,
         seating: 0,
         sealed: false,
         pair: None,
     })
 }
 
-fn groove(row: &Row<'_>, columns: Option<[Column; 3]>) -> Result<Option<Vector3<f64>>, InputError> {
-    let Some(columns) = columns else { return Ok(None) };
-    let cells = [row.number(Some(columns[0]))?, row.number(Some(columns[1]))?, row.number(Some(columns[2]))?];
+fn groove(row: &Row<'_>) -> Result<Option<Vector3<f64>>, InputError> {
+    let cells = [row.number(IN_SESSION[3])?, row.number(IN_SESSION[4])?, row.number(IN_SESSION[5])?];
     match cells {
         [Some(x), Some(y), Some(z)] => Ok(Some(Vector3::new(x, y, z))),
         [None, None, None] => Ok(None),
         _ => {
             let empty = cells.iter().position(Option::is_none).unwrap_or(0);
-            Err(row.error(columns[empty].name, "a number (its neighbours are given)", "nothing"))
+            Err(row.error(IN_SESSION[3 + empty], "a number (its neighbours are given)", "nothing"))
         }
     }
 }
 
-fn shifts(
-    row: &Row<'_>,
-    columns: &Wavelengths,
-    fbg: &mut FbgSpec,
-) -> Result<([f64; 2], Option<f64>), InputError> {
-    match columns {
-        Wavelengths::Shift { columns, reference } => {
-            let shift = |c: Column| checked_shift(row, c, row.required(c)?);
-            let reference = match (reference, row.number(*reference)?) {
-                (Some(c), Some(nm)) => Some(checked_shift(row, *c, nm)?),
-                _ => None,
-            };
-            Ok(([shift(columns[0])?, shift(columns[1])?], reference))
-        }
-        Wavelengths::Absolute { columns, nominal_nm, reference } => {
-            let shift = |i: usize| {
-                let nm = checked_wavelength(row, columns[i], row.required(columns[i])?)?;
-                checked_shift(row, columns[i], nm - nominal_nm[i])
-            };
-            let reference = match (reference, row.number(*reference)?) {
-                (Some(c), Some(nm)) => {
-                    let nm = checked_wavelength(row, *c, nm)?;
-                    let nominal_nm = *fbg.reference_nominal_nm.get_or_insert(nm);
-                    Some(checked_shift(row, *c, nm - nominal_nm)?)
-                }
-                _ => None,
-            };
-            Ok(([shift(0)?, shift(1)?], reference))
-        }
-    }
-}
-
-fn checked_wavelength(row: &Row<'_>, column: Column, nm: f64) -> Result<f64, InputError> {
+/// Shift from nominal, pm, of what a column holds: a shift, or a wavelength where the nominal one is given.
+fn shift_pm(row: &Row<'_>, column: &str, nm: f64, nominal_nm: Option<f64>) -> Result<f64, InputError> {
     let (low, high) = WAVELENGTH_NM;
-    if (low..=high).contains(&nm) {
-        return Ok(nm);
+    let is_wavelength = |nm: f64| (low..=high).contains(&nm);
+    if nominal_nm.is_some() && !is_wavelength(nm) {
+        let hint = if is_wavelength(nm * PM_PER_NM) {
+            "um instead of nm?"
+        } else if is_wavelength(nm / PM_PER_NM) {
+            "pm instead of nm?"
+        } else if nm.abs() < LARGEST_SHIFT_NM {
+            "a shift? name the columns fbg_1_shift_nm, fbg_2_shift_nm"
+        } else {
+            "check the unit"
+        };
+        let expected = format!("a wavelength between {low} and {high} nm");
+        return Err(row.error(column, expected, nm.to_string()).hint(hint));
     }
-    let hint = if (low..=high).contains(&(nm * PM_PER_NM)) {
-        "um instead of nm?"
-    } else if (low..=high).contains(&(nm / PM_PER_NM)) {
-        "pm instead of nm?"
-    } else if nm.abs() < LARGEST_SHIFT_NM {
-        "a shift? name the columns fbg_1_shift_nm, fbg_2_shift_nm"
-    } else {
-        "check the unit"
-    };
-    Err(row
-        .error(column.name, format!("a wavelength between {low} and {high} nm"), format!("{nm}"))
-        .hint(hint))
-}
-
-/// Shift in pm.
-fn checked_shift(row: &Row<'_>, column: Column, shift_nm: f64) -> Result<f64, InputError> {
+    let shift_nm = nm - nominal_nm.unwrap_or(0.0);
     if shift_nm.abs() <= LARGEST_SHIFT_NM {
         return Ok(shift_nm * PM_PER_NM);
     }
     let expected = format!("a shift from nominal of at most {LARGEST_SHIFT_NM} nm");
-    let error = row.error(column.name, expected, format!("{shift_nm}"));
-    Err(error.hint(if column.name.ends_with("shift_nm") {
-        "pm instead of nm?"
-    } else {
-        "wrong nominal_nm or grating?"
-    }))
+    let hint = if nominal_nm.is_some() { "wrong nominal_nm or grating?" } else { "pm instead of nm?" };
+    Err(row.error(column, expected, shift_nm.to_string()).hint(hint))
 }
 
 /// Reads `twin.csv`; every label must belong to a point of the points table.
@@ -409,42 +301,33 @@ pub(crate) fn read_twin(
     rows: &[WhiskerRow],
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<(Vec<TwinLabel>, InputFile), SessionError> {
-    let mut table = Table::open(path, name)?;
-    let point = table.required("point")?;
-    let moments = [table.required("moment_1_nmm")?, table.required("moment_2_nmm")?];
+    const MOMENTS: [&str; 2] = ["moment_1_nmm", "moment_2_nmm"];
+    let table: TextTable = read_own(path, name)?;
     // `wcal twin` writes these with the labels, and no moment where it finds no equilibrium.
-    for extra in ["contact_arclength_mm", "settled"] {
-        table.optional(extra)?;
-    }
-    let may_be_empty = table.optional("branch")?.is_some();
-    warnings.extend(unused_columns(&table));
+    let others =
+        table.others(&["point", MOMENTS[0], MOMENTS[1]], &["contact_arclength_mm", "settled", "branch"])?;
+    warnings.extend(unknown_columns(name, others));
+    let may_be_empty = table.place("branch").is_some();
     let known: HashSet<i64> = rows.iter().map(|r| r.point).collect();
     let left_out: HashSet<i64> = warnings.iter().flat_map(SessionWarning::left_out).copied().collect();
     let (mut points, mut labels) = (PointNumbers::default(), Vec::new());
-    while let Some(row) = table.next_row()? {
-        if may_be_empty && row.number(Some(moments[0]))?.is_none() && row.number(Some(moments[1]))?.is_none()
-        {
-            points.note(&row, row.point(point)?)?;
+    for row in table.by_name() {
+        let point = row.point()?;
+        points.note(&row, point)?;
+        if may_be_empty && row.number(MOMENTS[0])?.is_none() && row.number(MOMENTS[1])?.is_none() {
             continue;
         }
-        let label = TwinLabel {
-            point: row.point(point)?,
-            moment_nmm: [row.required(moments[0])?, row.required(moments[1])?],
-        };
-        points.note(&row, label.point)?;
-        if left_out.contains(&label.point) && !known.contains(&label.point) {
-            continue;
+        let moment_nmm = [row.required(MOMENTS[0])?, row.required(MOMENTS[1])?];
+        if known.contains(&point) {
+            labels.push(TwinLabel { point, moment_nmm });
+        } else if !left_out.contains(&point) {
+            return Err(row.error("point", "a point of the points table", format!("{point}")).into());
         }
-        if !known.contains(&label.point) {
-            return Err(row.error("point", "a point of the points table", format!("{}", label.point)).into());
-        }
-        labels.push(label);
     }
-    warnings.extend(table.open_end());
-    let input = table.finish()?;
+    warnings.extend(table.warning());
     if labels.len() < known.len() {
-        let kind = WarningKind::Unlabelled { points: known.len() - labels.len(), of: known.len() };
-        warnings.push(SessionWarning::new(name, kind));
+        let text = format!("{} of {} points have no label", known.len() - labels.len(), known.len());
+        warnings.push(SessionWarning::other(name, text));
     }
-    Ok((labels, input))
+    Ok((labels, table.input(Purpose::Description)))
 }

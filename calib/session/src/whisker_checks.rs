@@ -1,7 +1,7 @@
 //! Checks of whisker rows against geometry: reach of the wire, stage against groove, units.
 
 use crate::error::InputError;
-use crate::warning::{SessionWarning, WarningKind};
+use crate::warning::SessionWarning;
 use nalgebra::Vector3;
 use wcal_core::observation::RestShape;
 use wcal_core::{Role, Trajectory, WhiskerRow};
@@ -57,56 +57,45 @@ pub(crate) fn check_stage(
         }
     }
     if let Some(row) = worst {
-        let (limit_mm, rows, line) = (AGREEMENT_MM, count, row.line);
-        let kind = WarningKind::StageDisagrees { limit_mm, rows, worst_mm, line };
-        warnings.push(SessionWarning::new(&row.source, kind));
+        let line = row.line;
+        let text = format!(
+            "groove and origin + stage_mm * direction differ by more than {AGREEMENT_MM} mm in {count} row(s), most by {worst_mm:.3} mm at line {line}"
+        );
+        warnings.push(SessionWarning::other(&row.source, text));
     }
     Ok(())
 }
 
+/// A factor of 1000 between the stage's way and the groove's, in one of the numbers that the three of them come from.
 fn unit_error(
     row: &WhiskerRow,
     trajectory: &Trajectory,
     groove: Vector3<f64>,
     stage_mm: f64,
 ) -> Result<(), InputError> {
-    let near = |ratio: f64, factor: f64| (ratio / factor - 1.0).abs() < UNIT_RATIO_TOLERANCE;
+    let thousand = |ratio: f64| {
+        [(1e3, "um"), (1e-3, "m")].into_iter().find(|(f, _)| (ratio / f - 1.0).abs() < UNIT_RATIO_TOLERANCE)
+    };
+    let hint = |unit: &str| format!("a factor of 1000: {unit} instead of mm?");
+    let text = |v: Vector3<f64>| format!("({:.4}, {:.4}, {:.4})", v.x, v.y, v.z);
     let travelled_mm = (groove - trajectory.origin_mm).dot(&trajectory.direction);
-    let expected = format!("about {travelled_mm:.4} mm, from the groove's position");
-    if travelled_mm.abs() > AGREEMENT_MM {
-        let ratio = stage_mm / travelled_mm;
-        if near(ratio, 1e3) || near(ratio, 1e-3) {
-            let unit = if ratio > 1.0 { "um" } else { "m" };
-            let error = error(row, "stage_mm", expected, format!("{stage_mm}"));
-            return Err(error.hint(format!("a factor of 1000: {unit} instead of mm?")));
-        }
+    if let Some((_, unit)) = thousand(stage_mm / travelled_mm).filter(|_| travelled_mm.abs() > AGREEMENT_MM) {
+        let expected = format!("about {travelled_mm:.4} mm, from the groove's position");
+        return Err(error(row, "stage_mm", expected, format!("{stage_mm}")).hint(hint(unit)));
     }
     let from_stage = trajectory.origin_mm + stage_mm * trajectory.direction;
-    for factor in [1e3, 1e-3] {
-        let scaled = groove / factor;
-        if groove.norm() > 1e-6 && (scaled - from_stage).norm() < AGREEMENT_MM {
-            let expected =
-                format!("a position near ({:.3}, {:.3}, {:.3}) mm", from_stage.x, from_stage.y, from_stage.z);
-            let found = format!("({}, {}, {})", groove.x, groove.y, groove.z);
-            let unit = if factor > 1.0 { "um" } else { "m" };
-            let error = error(row, "groove_x_mm", expected, found);
-            // Near the base frame's origin everything is small: only a clear mismatch counts.
-            if from_stage.norm() > 1.0 {
-                return Err(error.hint(format!("a factor of 1000: {unit} instead of mm?")));
-            }
-        }
+    // Near the base frame's origin everything is small: only a clear mismatch counts.
+    let scaled = |f: f64| (groove / f - from_stage).norm() < AGREEMENT_MM && from_stage.norm() > 1.0;
+    if let Some((_, unit)) = [(1e3, "um"), (1e-3, "m")].into_iter().find(|(f, _)| scaled(*f)) {
+        let expected = format!("a position near {} mm", text(from_stage));
+        return Err(error(row, "groove_x_mm", expected, text(groove)).hint(hint(unit)));
     }
-    let origin_from_groove = groove - stage_mm * trajectory.direction;
-    if trajectory.origin_mm.norm() > 1e-6
-        && near(origin_from_groove.norm() / trajectory.origin_mm.norm(), 1e3)
-    {
-        let o = trajectory.origin_mm;
-        let found = format!("({}, {}, {})", o.x, o.y, o.z);
-        let expected = format!("an origin {:.3} mm from the root", origin_from_groove.norm());
-        let field = format!("trajectory {}.origin_mm", trajectory.id);
-        return Err(InputError::new("session.toml", expected, found)
-            .field(field)
-            .hint("a factor of 1000: m instead of mm?"));
+    let root_mm = (groove - stage_mm * trajectory.direction).norm();
+    let origin_mm = trajectory.origin_mm.norm();
+    if origin_mm > 1e-6 && thousand(root_mm / origin_mm).is_some_and(|(factor, _)| factor > 1.0) {
+        let expected = format!("an origin {root_mm:.3} mm from the root");
+        let error = InputError::new("session.toml", expected, text(trajectory.origin_mm));
+        return Err(error.field(format!("trajectory {}.origin_mm", trajectory.id)).hint(hint("m")));
     }
     Ok(())
 }

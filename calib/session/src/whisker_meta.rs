@@ -1,14 +1,15 @@
 //! `[whisker]`, `[moments]`, `[fbg]` and `[[trajectory]]` of a whisker session.
 
-use crate::document::Section;
+use crate::document::{sections, unit_vector};
 use crate::error::{InputError, SessionError};
-use crate::table::Table;
-use crate::warning::{SessionWarning, WarningKind};
+use crate::table::read_own;
+use crate::warning::SessionWarning;
 use nalgebra::Vector3;
+use serde::Deserialize;
 use std::path::Path;
 use wcal_core::observation::RestShape;
-use wcal_core::ranges::{OutOfRange, Range};
-use wcal_core::{FbgSpec, InputFile, MomentAxes, Trajectory, WhiskerSpec};
+use wcal_core::ranges::{self, OutOfRange, Range};
+use wcal_core::{FbgSpec, InputFile, MomentAxes, Purpose, Trajectory, WhiskerSpec};
 
 /// Wavelengths that interrogators of this kind can read, nm.
 pub(crate) const WAVELENGTH_NM: (f64, f64) = (1400.0, 1700.0);
@@ -19,30 +20,41 @@ const ROOT_TOLERANCE_MM: f64 = 0.05;
 /// Numbers that a session may state beside those of `[whisker]`.
 pub(crate) const SESSION_RANGES: &[Range] = &[
     Range::real("trajectory.origin_mm", -1e5, 1e5),
+    Range::real("trajectory.nominal_arclength_mm", 0.0, 2000.0),
+    Range::real("fbg.nominal_nm", WAVELENGTH_NM.0, WAVELENGTH_NM.1),
+    Range::real("fbg.reference_nominal_nm", WAVELENGTH_NM.0, WAVELENGTH_NM.1),
     Range::real("temperature_pm_per_degc", -1e4, 1e4),
     Range::real("reference_temperature_pm_per_degc", -1e4, 1e4),
 ];
 
-/// What `session.toml` says of a whisker.
-pub(crate) struct WhiskerMeta {
-    pub(crate) whisker: WhiskerSpec,
-    pub(crate) moments: MomentAxes,
-    pub(crate) fbg: FbgSpec,
-    pub(crate) trajectories: Vec<Trajectory>,
-    pub(crate) inputs: Vec<InputFile>,
+/// `[whisker]`: the shape by lengths or as points.
+#[derive(Deserialize)]
+pub(crate) struct WhiskerSection {
+    diameter_mm: f64,
+    youngs_gpa: f64,
+    shear_gpa: f64,
+    density_kg_m3: Option<f64>,
+    length_mm: Option<f64>,
+    straight_mm: Option<f64>,
+    arc_radius_mm: Option<f64>,
+    rest_shape: Option<Vec<[f64; 3]>>,
+    gravity_direction: Option<[f64; 3]>,
 }
 
-/// Reads and checks every whisker key; `shape_file` is `[files] rest_shape`.
-pub(crate) fn read(
-    root: &Section<'_>,
-    folder: &Path,
-    shape_file: Option<&str>,
-    warnings: &mut Vec<SessionWarning>,
-) -> Result<WhiskerMeta, SessionError> {
-    let mut inputs = Vec::new();
-    let (whisker, moments, fbg) = wire(root, folder, shape_file, &mut inputs, warnings)?;
-    let trajectories = trajectories(root, warnings)?;
-    Ok(WhiskerMeta { whisker, moments, fbg, trajectories, inputs })
+/// `[moments]`.
+#[derive(Default, Deserialize)]
+pub(crate) struct MomentSection {
+    axes: Option<[[f64; 3]; 2]>,
+    sign: Option<f64>,
+}
+
+/// An entry of `[[trajectory]]`.
+#[derive(Deserialize)]
+pub(crate) struct TrajectorySection {
+    id: u32,
+    origin_mm: [f64; 3],
+    direction: [f64; 3],
+    nominal_arclength_mm: Option<f64>,
 }
 
 /// Holds the tables `[whisker]`, `[moments]` and `[fbg]` of a rig, which a recorded session takes over as they are, against what a
@@ -56,133 +68,103 @@ pub fn check_wire(
     moments: Option<&toml::Table>,
     fbg: &toml::Table,
 ) -> Result<(), SessionError> {
+    #[derive(Deserialize)]
+    struct Wire {
+        whisker: WhiskerSection,
+        #[serde(default)]
+        moments: MomentSection,
+        #[serde(rename = "fbg")]
+        _fbg: FbgSpec,
+    }
     let mut tables = toml::Table::new();
     tables.insert("whisker".to_owned(), whisker.clone().into());
     tables.extend(moments.map(|m| ("moments".to_owned(), m.clone().into())));
     tables.insert("fbg".to_owned(), fbg.clone().into());
-    let root = Section::root(file, &tables);
-    wire(&root, Path::new(""), None, &mut Vec::new(), &mut Vec::new()).map(drop)
+    ranges::check(&tables, &[SESSION_RANGES]).map_err(|e| InputError::range(file, e))?;
+    let wire: Wire = sections(file, &tables, &mut Vec::new())?;
+    wire.moments.axes(file)?;
+    wire.whisker.spec(file, None, &mut Vec::new())?;
+    Ok(())
 }
 
-/// The wire, its moments and its gratings.
-fn wire(
-    root: &Section<'_>,
-    folder: &Path,
-    shape_file: Option<&str>,
-    inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<SessionWarning>,
-) -> Result<(WhiskerSpec, MomentAxes, FbgSpec), SessionError> {
-    let section = root.section("whisker")?;
-    let section = section.ok_or_else(|| root.error("whisker", "a table [whisker]", "nothing"))?;
-    let whisker = spec(&section, folder, shape_file, inputs, warnings)?;
-    warn_unknown(&section, warnings);
-    let moments = match root.section("moments")? {
-        Some(section) => {
-            let moments = moment_axes(&section)?;
-            warn_unknown(&section, warnings);
-            moments
-        }
-        None => MomentAxes::default(),
-    };
-    let fbg = match root.section("fbg")? {
-        Some(section) => {
-            let fbg = gratings(&section)?;
-            warn_unknown(&section, warnings);
-            fbg
-        }
-        None => FbgSpec::default(),
-    };
-    Ok((whisker, moments, fbg))
-}
-
-pub(crate) fn warn_unknown(section: &Section<'_>, warnings: &mut Vec<SessionWarning>) {
-    let of = |key: String| SessionWarning::new("session.toml", WarningKind::UnknownKey(key));
-    warnings.extend(section.unknown_keys().into_iter().map(of));
-}
-
-fn spec(
-    section: &Section<'_>,
-    folder: &Path,
-    shape_file: Option<&str>,
-    inputs: &mut Vec<InputFile>,
-    warnings: &mut Vec<SessionWarning>,
-) -> Result<WhiskerSpec, SessionError> {
-    let length_mm = section.number("length_mm")?;
-    let straight_mm = section.number("straight_mm")?;
-    let arc_radius_mm = section.number("arc_radius_mm")?;
-    let inline = section.vectors("rest_shape")?;
-    // Where the shape comes from, which is what a message about it names.
-    let shape_file = shape_file.filter(|_| inline.is_none());
-    let polyline = match (inline, shape_file) {
-        (Some(points), _) => Some(points),
-        (None, Some(name)) => Some(read_polyline(folder, name, inputs, warnings)?),
-        (None, None) => None,
-    };
-    let rest_shape = match polyline {
-        Some(points) => {
-            let file = shape_file.unwrap_or_else(|| section.file());
-            check_polyline(file, &points)?;
-            let polyline_mm: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
-            if let Some(declared_mm) = length_mm.filter(|l| (l - polyline_mm).abs() > 0.01 * polyline_mm) {
-                let kind = WarningKind::RestShapeLength { polyline_mm, declared_mm };
-                warnings.push(SessionWarning::new(file, kind));
+impl WhiskerSection {
+    /// The wire; `shape_file` is the table of its shape where that is not in the section.
+    pub(crate) fn spec(
+        self,
+        file: &str,
+        shape_file: Option<(&str, Vec<Vector3<f64>>)>,
+        warnings: &mut Vec<SessionWarning>,
+    ) -> Result<WhiskerSpec, InputError> {
+        let of = |key: &str| format!("whisker.{key}");
+        let inline = self.rest_shape.map(|points| (file, points.into_iter().map(Vector3::from).collect()));
+        // Where the shape comes from, which is what a message about it names.
+        let shape = inline.or(shape_file);
+        let shape_place = shape.as_ref().map(|(place, _)| *place);
+        let rest_shape = match shape {
+            Some((place, points)) => {
+                check_polyline(place, &points)?;
+                let polyline_mm: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+                if let Some(declared_mm) =
+                    self.length_mm.filter(|l| (l - polyline_mm).abs() > 0.01 * polyline_mm)
+                {
+                    let text =
+                        format!("the rest shape is {polyline_mm:.3} mm long, length_mm says {declared_mm}");
+                    warnings.push(SessionWarning::other(place, text));
+                }
+                RestShape::Polyline(points)
             }
-            RestShape::Polyline(points)
-        }
-        None => straight_arc(section, length_mm, straight_mm, arc_radius_mm)?,
-    };
-    let required = |key: &str| section.number(key)?.ok_or_else(|| section.error(key, "a number", "nothing"));
-    let whisker = WhiskerSpec {
-        diameter_mm: required("diameter_mm")?,
-        youngs_gpa: required("youngs_gpa")?,
-        shear_gpa: required("shear_gpa")?,
-        density_kg_m3: section.number("density_kg_m3")?,
-        rest_shape,
-        gravity_direction: section.unit_vector("gravity_direction")?,
-    };
-    // The shape's keys may stand in a table of their own; the last part is the name in the file.
-    let wrong = |e: OutOfRange| {
-        if let Some(file) = shape_file.filter(|_| e.key.starts_with("rest_shape")) {
-            return InputError::new(file, e.expected, e.found).field(e.key);
-        }
-        let key = e.key.rsplit('.').next().unwrap_or_default();
-        section.error(key, e.expected, e.found).hint("check the unit in the key's name")
-    };
-    whisker.check().map_err(wrong)?;
-    Ok(whisker)
+            None => {
+                let needed = |key: &str, value: Option<f64>| {
+                    let nothing =
+                        || InputError::new(file, "a number, or a rest_shape", "nothing").field(of(key));
+                    value.ok_or_else(nothing)
+                };
+                let length_mm = needed("length_mm", self.length_mm)?;
+                let straight_mm = needed("straight_mm", self.straight_mm)?;
+                // A wholly straight wire has no arc; any radius describes it.
+                let no_arc = (straight_mm >= length_mm).then_some(length_mm);
+                let arc_radius_mm = needed("arc_radius_mm", self.arc_radius_mm.or(no_arc))?;
+                RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm }
+            }
+        };
+        let gravity = self.gravity_direction.map(|v| unit_vector(file, &of("gravity_direction"), v));
+        let whisker = WhiskerSpec {
+            diameter_mm: self.diameter_mm,
+            youngs_gpa: self.youngs_gpa,
+            shear_gpa: self.shear_gpa,
+            density_kg_m3: self.density_kg_m3,
+            rest_shape,
+            gravity_direction: gravity.transpose()?,
+        };
+        // The shape's keys may stand in a table of their own; the last part is the name in the file.
+        let wrong = |e: OutOfRange| match shape_place
+            .filter(|place| *place != file && e.key.starts_with("rest_shape"))
+        {
+            Some(place) => InputError::new(place, e.expected, e.found).field(e.key),
+            None => {
+                let key = of(e.key.rsplit('.').next().unwrap_or_default());
+                InputError::new(file, e.expected, e.found).field(key).hint("check the unit in the key's name")
+            }
+        };
+        whisker.check().map_err(wrong)?;
+        Ok(whisker)
+    }
 }
 
-fn straight_arc(
-    section: &Section<'_>,
-    length_mm: Option<f64>,
-    straight_mm: Option<f64>,
-    arc_radius_mm: Option<f64>,
-) -> Result<RestShape, InputError> {
-    let needed = |key: &str| section.error(key, "a number, or a rest_shape", "nothing");
-    let length_mm = length_mm.ok_or_else(|| needed("length_mm"))?;
-    let straight_mm = straight_mm.ok_or_else(|| needed("straight_mm"))?;
-    // A wholly straight wire has no arc; any radius describes it.
-    let no_arc = (straight_mm >= length_mm).then_some(length_mm);
-    let arc_radius_mm = arc_radius_mm.or(no_arc).ok_or_else(|| needed("arc_radius_mm"))?;
-    Ok(RestShape::StraightArc { straight_mm, arc_radius_mm, length_mm })
-}
-
-fn read_polyline(
+/// Points of the table of a rest shape.
+pub(crate) fn read_polyline(
     folder: &Path,
     name: &str,
-    inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<SessionWarning>,
-) -> Result<Vec<Vector3<f64>>, SessionError> {
-    let mut table = Table::open(&folder.join(name), name)?;
-    let columns = [table.required("x_mm")?, table.required("y_mm")?, table.required("z_mm")?];
-    let mut points = Vec::new();
-    while let Some(row) = table.next_row()? {
-        let [x, y, z] = columns;
-        points.push(Vector3::new(row.required(x)?, row.required(y)?, row.required(z)?));
-    }
-    warnings.extend(table.open_end());
-    inputs.push(table.finish()?);
-    Ok(points)
+) -> Result<(Vec<Vector3<f64>>, InputFile), SessionError> {
+    let table = read_own(&folder.join(name), name)?;
+    table.others(&["x_mm", "y_mm", "z_mm"], &[])?;
+    let point = |row: crate::row::Row<'_>| {
+        Ok(Vector3::new(row.required("x_mm")?, row.required("y_mm")?, row.required("z_mm")?))
+    };
+    let points = table.by_name().map(point).collect::<Result<_, InputError>>()?;
+    warnings.extend(table.warning());
+    Ok((points, table.input(Purpose::Description)))
 }
 
 fn check_polyline(file: &str, points: &[Vector3<f64>]) -> Result<(), InputError> {
@@ -203,73 +185,43 @@ fn check_polyline(file: &str, points: &[Vector3<f64>]) -> Result<(), InputError>
     }
 }
 
-fn moment_axes(section: &Section<'_>) -> Result<MomentAxes, InputError> {
-    let mut moments = MomentAxes::default();
-    if let Some(axes) = section.vectors("axes")? {
-        let [first, second] = axes[..] else {
-            return Err(section.error("axes", "two unit vectors", format!("{}", axes.len())));
-        };
-        moments.axes = [section.normalised("axes", first)?, section.normalised("axes", second)?];
-        let cosine = moments.axes[0].dot(&moments.axes[1]);
-        if cosine.abs() > 0.99 {
-            return Err(section.error(
-                "axes",
-                "two different directions",
-                format!("parallel ones (cosine {cosine:.4})"),
-            ));
+impl MomentSection {
+    /// The moment components.
+    pub(crate) fn axes(&self, file: &str) -> Result<MomentAxes, InputError> {
+        let mut moments = MomentAxes::default();
+        if let Some([first, second]) = self.axes {
+            moments.axes =
+                [unit_vector(file, "moments.axes", first)?, unit_vector(file, "moments.axes", second)?];
+            let cosine = moments.axes[0].dot(&moments.axes[1]);
+            if cosine.abs() > 0.99 {
+                let found = format!("parallel ones (cosine {cosine:.4})");
+                return Err(InputError::new(file, "two different directions", found).field("moments.axes"));
+            }
         }
-    }
-    if let Some(sign) = section.number("sign")? {
-        if sign != 1.0 && sign != -1.0 {
-            return Err(section.error("sign", "1 or -1", format!("{sign}")));
+        moments.sign = self.sign.unwrap_or(moments.sign);
+        if moments.sign.abs() != 1.0 {
+            let found = moments.sign.to_string();
+            return Err(InputError::new(file, "1 or -1", found).field("moments.sign"));
         }
-        moments.sign = sign;
+        Ok(moments)
     }
-    Ok(moments)
 }
 
-fn gratings(section: &Section<'_>) -> Result<FbgSpec, InputError> {
-    let nominal_nm = section.numbers::<2>("nominal_nm")?;
-    let (low, high) = WAVELENGTH_NM;
-    if let Some(bad) = nominal_nm.iter().flatten().find(|w| !(low..=high).contains(*w)) {
-        let expected = format!("wavelengths between {low} and {high} nm");
-        return Err(section.error("nominal_nm", expected, format!("{bad}")).hint("check the unit"));
-    }
-    Ok(FbgSpec {
-        nominal_nm,
-        reference_nominal_nm: section.number_in("reference_nominal_nm", low, high)?,
-        temperature_pm_per_degc: section.numbers::<2>("temperature_pm_per_degc")?,
-        reference_temperature_pm_per_degc: section.number("reference_temperature_pm_per_degc")?,
-        temperature_compensated: section.flag("temperature_compensated")?.unwrap_or(false),
-    })
-}
-
-fn trajectories(
-    root: &Section<'_>,
-    warnings: &mut Vec<SessionWarning>,
+/// The paths of the groove.
+pub(crate) fn trajectories(
+    file: &str,
+    sections: Vec<TrajectorySection>,
 ) -> Result<Vec<Trajectory>, InputError> {
     let mut out: Vec<Trajectory> = Vec::new();
-    for section in root.sections("trajectory")? {
-        let id = match section.number("id")? {
-            #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
-            Some(id) if id.fract() == 0.0 && (0.0..=4e9).contains(&id) => id as u32,
-            Some(id) => return Err(section.error("id", "a whole number, zero or more", format!("{id}"))),
-            None => return Err(section.error("id", "a whole number, zero or more", "nothing")),
-        };
+    for (k, section) in sections.into_iter().enumerate() {
+        let TrajectorySection { id, origin_mm, direction, nominal_arclength_mm } = section;
+        let of = |key: &str| format!("trajectory #{}.{key}", k + 1);
         if out.iter().any(|t| t.id == id) {
-            return Err(section.error("id", "every trajectory once", format!("trajectory {id} again")));
+            let found = format!("trajectory {id} again");
+            return Err(InputError::new(file, "every trajectory once", found).field(of("id")));
         }
-        let of =
-            |key: &str, expected: &str| section.error(key, expected, format!("nothing (trajectory {id})"));
-        out.push(Trajectory {
-            id,
-            origin_mm: section.vector("origin_mm")?.ok_or_else(|| of("origin_mm", "[x, y, z] in mm"))?,
-            direction: section
-                .unit_vector("direction")?
-                .ok_or_else(|| of("direction", "a unit vector [x, y, z]"))?,
-            nominal_arclength_mm: section.number_in("nominal_arclength_mm", 0.0, 2000.0)?,
-        });
-        warn_unknown(&section, warnings);
+        let direction = unit_vector(file, &of("direction"), direction)?;
+        out.push(Trajectory { id, origin_mm: origin_mm.into(), direction, nominal_arclength_mm });
     }
     Ok(out)
 }

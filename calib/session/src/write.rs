@@ -3,7 +3,7 @@
 use crate::error::{InputError, SessionError};
 use crate::session::{LoadedSession, load};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use wcal_core::files::{folder_of, sync_folder, write_atomic};
 
 /// Files of a new session: `session.toml` and the tables it names.
@@ -32,17 +32,27 @@ pub fn write_session(folder: &Path, files: &SessionFiles) -> Result<LoadedSessio
     })?;
     let parent = folder_of(folder);
     fs::create_dir_all(parent).map_err(fail)?;
-    let staging = Staging(parent.join(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id())));
-    fs::create_dir(&staging.0).map_err(fail)?;
-    for (table, bytes) in &files.tables {
-        write_atomic(&staging.0.join(table), bytes)?;
-    }
-    write_atomic(&staging.0.join("session.toml"), files.session_toml.as_bytes())?;
-    let mut session = load(&staging.0)?;
-    fs::rename(&staging.0, folder).map_err(fail)?;
+    let staging = parent.join(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id()));
+    fs::create_dir(&staging).map_err(fail)?;
+    let written = staged(&staging, files).and_then(|session| {
+        fs::rename(&staging, folder).map_err(fail)?;
+        Ok(session)
+    });
+    let mut session = written.inspect_err(|_| {
+        // What is left of it says nothing more than the error.
+        let _ = fs::remove_dir_all(&staging);
+    })?;
     sync_folder(parent)?;
     folder.clone_into(&mut session.folder);
     Ok(session)
+}
+
+fn staged(folder: &Path, files: &SessionFiles) -> Result<LoadedSession, SessionError> {
+    for (table, bytes) in &files.tables {
+        write_atomic(&folder.join(table), bytes)?;
+    }
+    write_atomic(&folder.join("session.toml"), files.session_toml.as_bytes())?;
+    load(folder)
 }
 
 fn refuse_existing(folder: &Path) -> Result<(), SessionError> {
@@ -55,14 +65,4 @@ fn refuse_existing(folder: &Path) -> Result<(), SessionError> {
         return Err(InputError::new(&name, "a folder that does not exist yet", "one with content").into());
     }
     Ok(())
-}
-
-/// A temporary folder that goes away with its owner, unless it was renamed.
-struct Staging(PathBuf);
-
-impl Drop for Staging {
-    fn drop(&mut self) {
-        // Renamed or never made: nothing to remove, and nothing to say.
-        let _ = fs::remove_dir_all(&self.0);
-    }
 }

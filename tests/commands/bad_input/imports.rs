@@ -90,7 +90,7 @@ const IMPORTS: &[BadImport] = &[
         table: b"c,m\n1,1001\n2,2002\n3,3001\n",
         arguments: &["--kind", "axis", "--commanded", "c", "--measured", "m"],
         code: 1,
-        says: &["same unit", "um?"],
+        says: &["same unit", "COLUMN*0.001"],
     },
     BadImport {
         name: "factor that is no number",

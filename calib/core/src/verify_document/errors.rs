@@ -74,7 +74,6 @@ pub struct GrooveTracking {
     /// Trajectories; the error is one and the same at all readings of a trajectory.
     pub trajectories: usize,
     /// Trajectories whose groove lies in the stated 95 % region at half of their readings and more: what may be counted.
-    #[serde(default)]
     pub trajectories_held: usize,
     /// Trajectories on which moments and motion do not belong together.
     pub doubted: usize,
@@ -82,7 +81,6 @@ pub struct GrooveTracking {
     #[schemars(extend("enum" = ["holdout", "fit"]))]
     pub split: String,
     /// What the uncertainty of the map makes of a contact, by arc length.
-    #[serde(default)]
     pub uncertainty: Vec<ContactUncertainty>,
 }
 

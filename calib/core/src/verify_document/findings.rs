@@ -42,7 +42,6 @@ pub struct NamedEffect {
     /// Identifier of docs/src/formats.md.
     pub id: String,
     /// Law by which each of its terms acts, in the catalogue's words.
-    #[serde(default)]
     pub laws: Vec<String>,
     /// Effects that this data cannot distinguish from it, itself included.
     pub class: Vec<String>,
@@ -52,7 +51,6 @@ pub struct NamedEffect {
     /// Fitted parameters.
     pub parameters: Vec<EffectParameter>,
     /// Plain sentence for the report.
-    #[serde(default)]
     pub sentence: String,
 }
 
@@ -81,7 +79,6 @@ pub struct NextPose {
     /// Speed, mm/s; 0 settled.
     pub speed_mm_s: f64,
     /// Dwell before the reading, s.
-    #[serde(default)]
     pub dwell_s: f64,
 }
 
@@ -107,7 +104,7 @@ pub struct Detectable {
     /// Smallest size found with 90 % probability; absent where not testable.
     pub smallest: Option<f64>,
     /// The same without the pictures; absent where there are none, or where the wavelengths alone do not show it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub smallest_without_pictures: Option<f64>,
     /// Unit of both.
     pub unit: String,
@@ -124,7 +121,6 @@ pub struct SecondWitness {
     /// Pairs that count.
     pub pairs: usize,
     /// Pairs that are left out, and why.
-    #[serde(default)]
     pub left_out: Vec<PairLeftOut>,
     /// Scatter about the accepted model over what the shapes state; 1 where they state it right.
     pub reduced_chi: f64,

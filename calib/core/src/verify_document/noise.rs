@@ -10,7 +10,7 @@ pub struct NoiseFloor {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wavelength_pm: Option<f64>,
     /// The same of readings in motion, averaged over far fewer samples, pm (whisker); absent where all readings are averaged alike.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub moving_wavelength_pm: Option<f64>,
     /// N mm (kind whisker).
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -22,7 +22,7 @@ pub struct NoiseFloor {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error_um: Option<f64>,
     /// Distance of a contact from where it is seen that the shapes' stated covariance gives, root mean square, mm (with pictures).
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub contact_mm: Option<f64>,
     /// `replicates`, `difference`, `declared`, `none`.
     #[schemars(extend("enum" = ["replicates", "difference", "declared", "none"]))]
@@ -77,7 +77,6 @@ pub struct NoiseDocument {
     /// Degrees of freedom of Student's t; absent where a Gaussian does as well.
     pub tails_dof: Option<NoisePart>,
     /// Law of the spread; absent where it is the same everywhere.
-    #[serde(default)]
     pub law: Option<NoiseLaw>,
     /// Unit of the standard deviations.
     pub unit: String,

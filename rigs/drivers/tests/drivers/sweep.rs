@@ -243,7 +243,7 @@ fn settled_poses_have_their_pictures_and_reduce_rebuilds_them_bit_for_bit() {
     assert!(bytes < raw / 3, "{bytes} of {raw}");
     let loaded = wcal_session::load(&order.folder).unwrap();
     // A busy machine may deliver scans late, which a row says; nothing else is wrong.
-    let late = |w: &wcal_session::SessionWarning| matches!(w.kind, wcal_session::WarningKind::ScansLate(_));
+    let late = |w: &wcal_session::SessionWarning| matches!(w.kind, wcal_session::WarningKind::ScansLate);
     assert!(loaded.pictures.is_some() && loaded.warnings.iter().all(late), "{:?}", loaded.warnings);
     // Control: a session that names a folder outside is refused.
     let toml = order.folder.join("session.toml");

@@ -74,13 +74,13 @@ fn absent(what: &str) -> String {
 }
 
 /// Class and marker of the n-th channel; past the fourth, colours come back with another shape.
-pub(crate) fn series(n: usize) -> (&'static str, crate::plot::Marker) {
+pub fn series(n: usize) -> (&'static str, crate::plot::Marker) {
     use crate::plot::Marker::{Circle, Diamond, Square, Triangle};
     (["s1", "s2", "s3", "s4"][n % 4], [Circle, Square, Diamond, Triangle][(n + n / 4) % 4])
 }
 
 /// Key of colours and shapes.
-pub(crate) fn legend(names: &[String]) -> String {
+pub fn legend(names: &[impl AsRef<str>]) -> String {
     const SHAPES: [&str; 4] = ["●", "■", "◆", "▲"];
     let items: String = names
         .iter()
@@ -90,7 +90,7 @@ pub(crate) fn legend(names: &[String]) -> String {
             format!(
                 "<li><span class=\"key {class}\">{}</span> {}</li>",
                 SHAPES[(k + k / 4) % 4],
-                escape(name)
+                escape(name.as_ref())
             )
         })
         .collect();

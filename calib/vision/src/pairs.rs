@@ -1,6 +1,7 @@
 //! Pairs the pictures of two folders (or `*` patterns) by the number in their names that varies, or by the whole name where it is the same.
 
 use crate::error::VisionError;
+use crate::picture::Picture;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -17,6 +18,34 @@ pub struct PairFiles {
     pub point: Option<i64>,
     /// Why the pair is not to be used, where that is known before the pictures are read.
     pub refused: Option<String>,
+}
+
+impl PairFiles {
+    /// Both pictures; the reason where they cannot be used.
+    ///
+    /// # Errors
+    /// A sentence.
+    pub(crate) fn read(&self) -> Result<[Picture; 2], String> {
+        if let Some(why) = &self.refused {
+            return Err(why.clone());
+        }
+        let (Some(left), Some(right)) = (&self.left, &self.right) else {
+            let side = if self.left.is_none() { "left" } else { "right" };
+            return Err(format!("the {side} picture is missing"));
+        };
+        let read = |path: &PathBuf| {
+            let picture = Picture::read(path).map_err(|e| e.to_string())?;
+            match picture.unusable() {
+                Some(why) => Err(format!("{}: {why}", path.display())),
+                None => Ok(picture),
+            }
+        };
+        let pictures = [read(left)?, read(right)?];
+        if pictures[0] == pictures[1] {
+            return Err("the left and the right picture are the same".into());
+        }
+        Ok(pictures)
+    }
 }
 
 /// Picture files of a folder or of a pattern such as `pictures/left*.jpg`, sorted by name.

@@ -242,36 +242,17 @@ fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
 }
 
 fn load(stereo: &StereoCameras, rig: &Rig, files: &PairFiles) -> Result<PairInput, String> {
-    if let Some(why) = &files.refused {
-        return Err(why.clone());
-    }
-    let (Some(left), Some(right)) = (&files.left, &files.right) else {
-        return Err(format!(
-            "the {} picture is missing",
-            if files.left.is_none() { "left" } else { "right" }
-        ));
-    };
-    let read = |path: &std::path::PathBuf, camera: usize| {
-        let picture = Picture::read(path).map_err(|e| e.to_string())?;
-        let expected = stereo.cameras[camera].image_size_px;
-        if [picture.width, picture.height] != expected {
+    let pictures = files.read()?;
+    for (k, (picture, camera)) in pictures.iter().zip(&stereo.cameras).enumerate() {
+        let [width, height] = camera.image_size_px;
+        if [picture.width, picture.height] != [width, height] {
+            let path =
+                [&files.left, &files.right][k].as_ref().map_or_else(String::new, |p| p.display().to_string());
             return Err(format!(
-                "{}: expected {}x{} px as calibrated, found {}x{}",
-                path.display(),
-                expected[0],
-                expected[1],
-                picture.width,
-                picture.height
+                "{path}: expected {width}x{height} px as calibrated, found {}x{}",
+                picture.width, picture.height
             ));
         }
-        match picture.unusable() {
-            Some(why) => Err(format!("{}: {why}", path.display())),
-            None => Ok(picture),
-        }
-    };
-    let pictures = [read(left, 0)?, read(right, 1)?];
-    if pictures[0] == pictures[1] {
-        return Err("the left and the right picture are the same".into());
     }
     let families: BTreeSet<&str> = rig.tags.iter().map(|t| t.family.as_str()).collect();
     let mut tags = Vec::new();

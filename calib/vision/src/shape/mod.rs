@@ -4,7 +4,6 @@
 pub mod curve;
 pub mod curve_fit;
 mod describe;
-pub mod drawing;
 pub mod folder;
 pub mod groove;
 pub mod joint;

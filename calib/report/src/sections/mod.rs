@@ -37,10 +37,8 @@ pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
             body: calibration::body(judged),
         });
     }
-    // Only labels of an outside twin can be checked; without any, the rod's own branches are shown.
     if !input.twin.is_empty() || !input.verify.twin.faults.is_empty() {
-        let title = if twin::has_labels(input) { "Twin check" } else { "The rod along each trajectory" };
-        sections.push(Section { id: "twin", title, body: twin::body(input) });
+        sections.push(Section { id: "twin", title: "Twin check", body: twin::body(input) });
     }
     sections.push(Section { id: "residuals", title: "Residuals", body: residuals::body(input) });
     sections.push(Section { id: "evidence", title: "Evidence", body: evidence::body(input) });

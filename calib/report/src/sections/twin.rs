@@ -6,15 +6,17 @@ use crate::markup::{Table, TableCell};
 use crate::number::number;
 use crate::plot::{Axis, Layer, Marker, Plot};
 
-/// The section.
+/// The section: only labels of an outside twin can be checked.
 pub(super) fn body(input: &ReportInput) -> String {
     let faults = &input.verify.twin.faults;
+    if faults.is_empty() && input.twin.iter().all(|t| t.labels.is_empty()) {
+        return absent(
+            "The session has no labels of an outside twin (twin.csv): there was nothing to check.",
+        );
+    }
     let mut out = String::new();
-    if faults.is_empty() && has_labels(input) {
+    if faults.is_empty() {
         out += "<p>No fault was found in the twin's labels.</p>";
-    } else if faults.is_empty() {
-        out +=
-            &absent("The session has no labels of an outside twin (twin.csv): there was nothing to check.");
     } else {
         let mut table = Table::new("Faulty labels of the twin", &["kind", "points", "what is wrong"]);
         for fault in faults {
@@ -32,24 +34,8 @@ pub(super) fn body(input: &ReportInput) -> String {
     }
     out += &legend(&MOMENT_NAMES);
     let charts: String = input.twin.iter().map(|t| chart(input, t)).collect();
-    out + &figure(
-        input.verify.simulated,
-        "many",
-        &charts,
-        match has_labels(input) {
-            true => {
-                "Base moment against stage position. Lines: equilibria of wcal's own rod; markers: labels of the outside twin; rings with a word: labels on another branch, or of a wire that left the groove. Every chart has its own scale."
-            }
-            false => {
-                "Base moment against stage position: equilibria of wcal's own rod. Every chart has its own scale."
-            }
-        },
-    )
-}
-
-/// Whether an outside twin's labels were there to be checked.
-pub(super) fn has_labels(input: &ReportInput) -> bool {
-    input.twin.iter().any(|t| !t.labels.is_empty()) || !input.verify.twin.faults.is_empty()
+    let caption = "Base moment against stage position. Lines: equilibria of wcal's own rod; markers: labels of the outside twin; rings with a word: labels on another branch, or of a wire that left the groove. Every chart has its own scale.";
+    out + &figure(input.verify.simulated, "many", &charts, caption)
 }
 
 /// Kind of a label's fault; one of unit or discretisation is of all labels, and the table says so.

@@ -10,7 +10,6 @@ use crate::shape::joint::{Joint, ROOT_CLAMPED, uncertainties};
 use crate::shape::other_pose::pairs_of_other_poses;
 use crate::shape::pair_errors::{SharedErrors, VertexErrors, pair_errors};
 use crate::shape::pair_fit::{PairFit, ROOT_FREE, Scene, fit_pair};
-use crate::shape::shared_errors::{camera_errors, shared_errors};
 use crate::stereo::StereoCameras;
 use crate::tags::base_pose::{
     FolderBase, PairTags, base_observations, folder_base, observations_of, rig_poses,
@@ -168,7 +167,6 @@ fn shapes_of_loaded(
     let uncertain = base
         .as_ref()
         .map_or_else(|| files.iter().map(|_| None).collect(), |b| uncertainties(stereo, b, &fits, root_sd));
-    let errors = camera_errors(stereo, &fits, &uncertain);
     let rigs = rig_poses(stereo, rig, &tags);
     let shared = SharedErrors::new(stereo, &uncertain, &rigs);
     if rigs.poses.iter().flatten().count() > 1 && rigs.shared_turn.is_none() {
@@ -198,7 +196,6 @@ fn shapes_of_loaded(
             document.warnings.push(remark.into());
         }
         let Some(u) = &uncertain[k] else { return document };
-        document.shared_errors = shared_errors(stereo, fit, u, &errors);
         let groove = rigs.poses[k].as_ref().zip(rig.groove.as_ref()).and_then(|(pose, groove)| {
             let vertex = VertexErrors::new(stereo, &shared, &rigs, k, fit, groove, u)?;
             let diameter_mm = rig.whisker.diameter_mm;

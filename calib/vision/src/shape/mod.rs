@@ -10,5 +10,4 @@ pub mod joint;
 mod other_pose;
 mod pair_errors;
 pub mod pair_fit;
-mod shared_errors;
 pub mod socp_start;

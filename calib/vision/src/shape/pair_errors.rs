@@ -13,15 +13,16 @@
 
 use crate::rig::RigGroove;
 use crate::rigid::hat;
+use crate::shape::curve::CurveState;
+use crate::shape::curve_fit::{in_camera, stepped};
 use crate::shape::describe::places;
 use crate::shape::groove::GrooveFound;
 use crate::shape::joint::{PairUncertainty, depth_axis};
 use crate::shape::pair_fit::PairFit;
-use crate::shape::shared_errors::length_change_mm;
 use crate::stereo::StereoCameras;
 use crate::tags::base_pose::RigPoses;
 use crate::tags::pose::gradient_by_calibration;
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix3xX, Matrix6, Vector3};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix3xX, Matrix6, Point3, Vector2, Vector3};
 use rayon::prelude::*;
 use wcal_core::shapes_document::{ErrorColumn, PairErrors, SharedParameter};
 
@@ -374,4 +375,30 @@ fn nanometres(x: f64) -> f64 {
 /// Eight digits: parameters of cameras are strongly correlated, and their parts cancel.
 fn significant(x: f64) -> f64 {
     format!("{x:.7e}").parse().unwrap_or(x)
+}
+
+/// The pictures show the tip where they do: with other cameras that is another arc length.
+fn length_change_mm(stereo: &StereoCameras, fit: &PairFit, u: &PairUncertainty, error: &DVector<f64>) -> f64 {
+    let other = (0..stereo.parameters()).fold(stereo.clone(), |s, k| s.moved(k, error[k]));
+    let (pose, state) = stepped(&fit.left_from_base, &fit.state, &(&u.by_calibration * error));
+    let end = |state: &CurveState, arc_mm: f64| {
+        let points = fit.model.shape(state).points;
+        let x = (arc_mm / fit.model.step_mm).clamp(0.0, points.len() as f64 - 1.001);
+        points[x as usize] * (1.0 - x.fract()) + points[x as usize + 1] * x.fract()
+    };
+    let seen = |s: &StereoCameras, pose: &Isometry3<f64>, p: &Vector3<f64>, camera: usize| {
+        in_camera(s, camera, &(pose * Point3::from(*p)).coords).map(|(px, _, _)| px)
+    };
+    let tip = end(&fit.state, fit.length_mm);
+    let before = end(&fit.state, fit.length_mm - fit.model.step_mm);
+    let moved = end(&state, fit.length_mm);
+    let changes: Vec<f64> = (0..2)
+        .filter_map(|camera| {
+            let at = seen(stereo, &fit.left_from_base, &tip, camera)?;
+            let along: Vector2<f64> = at - seen(stereo, &fit.left_from_base, &before, camera)?;
+            let off: Vector2<f64> = seen(&other, &pose, &moved, camera)? - at;
+            Some(-off.dot(&along) / along.norm_squared() * fit.model.step_mm)
+        })
+        .collect();
+    changes.iter().sum::<f64>() / changes.len().max(1) as f64
 }

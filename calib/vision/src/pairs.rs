@@ -21,11 +21,11 @@ pub struct PairFiles {
 }
 
 impl PairFiles {
-    /// Both pictures; the reason where they cannot be used.
+    /// Both pictures, of these sizes where cameras are calibrated; the reason where they cannot be used.
     ///
     /// # Errors
     /// A sentence.
-    pub(crate) fn read(&self) -> Result<[Picture; 2], String> {
+    pub(crate) fn read(&self, calibrated_px: Option<[[usize; 2]; 2]>) -> Result<[Picture; 2], String> {
         if let Some(why) = &self.refused {
             return Err(why.clone());
         }
@@ -33,14 +33,20 @@ impl PairFiles {
             let side = if self.left.is_none() { "left" } else { "right" };
             return Err(format!("the {side} picture is missing"));
         };
-        let read = |path: &PathBuf| {
+        let read = |path: &PathBuf, camera: usize| {
             let picture = Picture::read(path).map_err(|e| e.to_string())?;
-            match picture.unusable() {
-                Some(why) => Err(format!("{}: {why}", path.display())),
-                None => Ok(picture),
+            let found = [picture.width, picture.height];
+            let [w, h] = calibrated_px.map_or(found, |sizes| sizes[camera]);
+            let path = path.display();
+            if found != [w, h] {
+                return Err(format!(
+                    "{path}: expected {w}x{h} px as calibrated, found {}x{}",
+                    found[0], found[1]
+                ));
             }
+            picture.unusable().map_or(Ok(picture), |why| Err(format!("{path}: {why}")))
         };
-        let pictures = [read(left)?, read(right)?];
+        let pictures = [read(left, 0)?, read(right, 1)?];
         if pictures[0] == pictures[1] {
             return Err("the left and the right picture are the same".into());
         }

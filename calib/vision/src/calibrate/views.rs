@@ -58,7 +58,7 @@ struct Read {
 }
 
 fn read(files: &PairFiles, board: &BoardLayout) -> Result<Read, String> {
-    let pictures = files.read()?;
+    let pictures = files.read(None)?;
     let [left, right] = pictures.each_ref().map(|p| [p.width, p.height]);
     if left != right {
         return Err(format!(

@@ -239,18 +239,7 @@ fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
 }
 
 fn load(stereo: &StereoCameras, rig: &Rig, files: &PairFiles) -> Result<PairInput, String> {
-    let pictures = files.read()?;
-    for (k, (picture, camera)) in pictures.iter().zip(&stereo.cameras).enumerate() {
-        let [width, height] = camera.image_size_px;
-        if [picture.width, picture.height] != [width, height] {
-            let path =
-                [&files.left, &files.right][k].as_ref().map_or_else(String::new, |p| p.display().to_string());
-            return Err(format!(
-                "{path}: expected {width}x{height} px as calibrated, found {}x{}",
-                picture.width, picture.height
-            ));
-        }
-    }
+    let pictures = files.read(Some(stereo.cameras.each_ref().map(|camera| camera.image_size_px)))?;
     let families: BTreeSet<&str> = rig.tags.iter().map(|t| t.family.as_str()).collect();
     let mut tags = Vec::new();
     for (camera, picture) in pictures.iter().enumerate() {

@@ -3,8 +3,7 @@
 use wcal_core::verify_document::VerifyDocument;
 use wcal_core::{Provenance, Role, WhiskerData};
 use wcal_report::{
-    EvidenceRow, Explanation, Fact, GateTest, NamedError, ReportInput, RodBranch, TwinMark, TwinTrajectory,
-    model_after,
+    EvidenceRow, Fact, GateTest, NamedError, ReportInput, TwinMark, TwinTrajectory, model_after,
 };
 use wcal_session::LoadedSession;
 use wcal_trace::method::hypothesis::Evidence;
@@ -75,7 +74,6 @@ pub fn of_whisker(
         gate: gates([found.first_test.p_values(), found.last_test.p_values()], after),
         twin: twin(done),
         evidence: evidence(&found.evidence),
-        explanations: explanations(&found.evidence),
         versions: versions(),
         ..ReportInput::new(done.document.clone(), provenance)
     }
@@ -152,7 +150,6 @@ pub fn of_scalar(
         residuals: done.residuals.clone(),
         gate,
         evidence: evidence_of(data, &done.evidence),
-        explanations: explanations(&done.evidence),
         versions: versions(),
         ..ReportInput::new(done.document.clone(), provenance)
     }
@@ -186,39 +183,17 @@ fn gates(p_values: [[f64; 3]; 2], after: &str) -> Vec<GateTest> {
     ["declared model", after].into_iter().zip(p_values).flat_map(of_model).collect()
 }
 
-fn explanations(found: &[Evidence]) -> Vec<Explanation> {
-    found
-        .iter()
-        .map(|e| Explanation {
-            effects: e.effects.clone(),
-            log_likelihood_ratio: -0.5 * e.behind,
-            p_value: Some(e.p_value),
-            survives: e.survives(),
-        })
-        .collect()
-}
-
 fn evidence(found: &[Evidence]) -> Vec<EvidenceRow> {
-    found
-        .iter()
-        .map(|e| EvidenceRow {
-            id: e.effects.join(" + "),
-            law: e.laws.join(" + "),
-            parameters: Vec::new(),
-            chi2_gain: Some(e.gain),
-            degrees_of_freedom: e.parameters,
-            p_adjusted: None,
-            log_likelihood_ratio: Some(-0.5 * e.behind),
-            status: if e.behind <= 0.0 {
-                "best".into()
-            } else if e.survives() {
-                "survives".into()
-            } else {
-                "rejected".into()
-            },
-            why: String::new(),
-        })
-        .collect()
+    let row = |e: &Evidence| EvidenceRow {
+        effects: e.effects.clone(),
+        law: e.laws.join(" + "),
+        chi2_gain: e.gain,
+        degrees_of_freedom: e.parameters,
+        log_likelihood_ratio: -0.5 * e.behind,
+        p_value: e.p_value,
+        survives: e.survives(),
+    };
+    found.iter().map(row).collect()
 }
 
 fn twin(done: &WhiskerVerification) -> Vec<TwinTrajectory> {
@@ -226,24 +201,15 @@ fn twin(done: &WhiskerVerification) -> Vec<TwinTrajectory> {
         .iter()
         .map(|(id, stage_mm, moment_nmm)| TwinTrajectory {
             id: *id,
-            branches: vec![RodBranch {
-                name: "rod, followed from first touch".to_owned(),
-                stage_mm: stage_mm.clone(),
-                moment_nmm: moment_nmm.clone(),
-            }],
+            stage_mm: stage_mm.clone(),
+            moment_nmm: moment_nmm.clone(),
             labels: done
                 .labels
                 .checks
                 .iter()
                 .filter(|c| c.trajectory == *id)
-                .map(|c| TwinMark {
-                    point: c.point,
-                    stage_mm: c.stage_mm,
-                    moment_nmm: c.label_nmm,
-                    fault: c.fault.map(str::to_owned),
-                })
+                .map(|c| TwinMark { point: c.point, stage_mm: c.stage_mm, moment_nmm: c.label_nmm })
                 .collect(),
-            snaps_mm: Vec::new(),
         })
         .collect()
 }

@@ -1,5 +1,6 @@
 //! `wcal stereo-shape`: the wire's shape and the groove's contact from pairs of pictures.
 
+mod drawing;
 mod session;
 
 use crate::output::{OutputFolder, Overwrite, ResultKind, unsaid};
@@ -7,17 +8,17 @@ use crate::picture_output::provenance;
 use crate::progress::Progress;
 use anyhow::Context;
 use clap::Args;
+use drawing::{drawing, residuals};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::shapes_document::{PairDocument, ShapesSource, rig_sha256};
-use wcal_report::{Fact, ShapePair, ShapePicture, ShapesInput, render_shapes};
+use wcal_report::{Fact, ShapePair, ShapesInput, render_shapes};
 use wcal_vision::calibrate::import::read_cameras;
 use wcal_vision::pairs::{PairFiles, list_pictures, pair_files};
 use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;
-use wcal_vision::shape::drawing::{drawing, residuals};
 use wcal_vision::shape::folder::{ShapesResult, shapes_of_pairs};
 use wcal_vision::stereo::StereoCameras;
 
@@ -205,20 +206,10 @@ fn put_report(
     let mut pairs = Vec::new();
     for ((pair, fit), file) in document.pairs.iter().zip(&result.fits).zip(files) {
         if let (Some(fit), Some(left), Some(right)) = (fit, &file.left, &file.right) {
-            let mut pictures = Vec::new();
-            for (camera, (side, source)) in [("left", left), ("right", right)].into_iter().enumerate() {
-                let drawn = drawing(&Picture::read(source)?, camera, &result.stereo, fit, pair)?;
-                pictures.push(ShapePicture {
-                    side: side.to_owned(),
-                    size_px: drawn.size_px,
-                    jpeg_base64: drawn.jpeg_base64,
-                    tags: drawn.tags,
-                    curve: drawn.curve,
-                    seen: drawn.seen,
-                    unseen: drawn.unseen,
-                    groove: drawn.groove,
-                });
-            }
+            let drawn = |camera: usize, source: &Path| {
+                drawing(&Picture::read(source)?, camera, &result.stereo, fit, pair)
+            };
+            let pictures = vec![drawn(0, left)?, drawn(1, right)?];
             pairs.push(ShapePair { pictures, residuals: residuals(fit), ..described(pair) });
         }
     }

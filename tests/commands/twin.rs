@@ -43,8 +43,7 @@ fn the_twin_tells_a_pose_without_a_certain_moment_without_its_label() {
     let (code, said) = run(true);
     assert_eq!(code, Some(3), "{said}");
     for words in [
-        "point 11: come to straight from the start it is free",
-        "point 11: no certain moment",
+        "point 11: no certain moment: come to straight from the start it is free",
         "1 of 2 poses have no certain moment: 11",
         "1 labels of the session, at poses with a certain moment: within",
     ] {

@@ -1,4 +1,4 @@
-//! MuJoCo's labels at a session's poses: other equilibria, the error against the rod, and what the groove's tip does to them.
+//! MuJoCo's labels at a session's poses: other equilibria, the error against the session's labels and against the rod.
 
 use super::{Text, of_trajectory, row};
 use crate::progress::Progress;
@@ -19,8 +19,6 @@ struct Pose<'a> {
     label: &'a PoseLabel,
     /// By the rod in a frictionless groove, N mm; none where it is not held.
     ideal_nmm: Option<Vector3<f64>>,
-    /// Stable equilibria that the rod finds at this place.
-    stable: usize,
     /// The session's own label, components.
     outside: Option<[f64; 2]>,
 }
@@ -60,18 +58,18 @@ pub fn by_mujoco(data: &WhiskerData, preset: Preset) -> anyhow::Result<Vec<Text>
                 point,
                 label: &labels[t][n],
                 ideal_nmm: outcome.equilibrium().map(|e| e.moment_nmm),
-                stable: rod.equilibria(&places[t][n]).iter().filter(|e| e.1 > 0.0).count(),
                 outside: data.twin.iter().find(|l| l.point == point).map(|l| l.moment_nmm),
             });
         }
     }
-    let full = full_scale(data);
     let mut lines: Vec<Text> = vec![None; data.rows.len()];
     for pose in &poses {
-        say(data, pose, full);
+        if let Some(why) = doubt(data, pose.label) {
+            eprintln!("twin: point {}: no certain moment: {why}", pose.point);
+        }
         lines[pose.row] = Some(line(data, pose));
     }
-    summary(data, &poses, full);
+    summary(data, &poses);
     if preset == Preset::Paper {
         let found = MujocoEngine::start()
             .and_then(|mut engine| statics(&mut engine, &data.whisker, &paper_options(&data.whisker)))?;
@@ -113,48 +111,18 @@ fn off(data: &WhiskerData, moment: &Vector3<f64>, label: &[f64; 2], full: f64) -
     (0..2).map(|c| (ours[c] - label[c]).abs()).fold(0.0, f64::max) / full
 }
 
-/// What is known of a pose, in one line, and a line for every other place of rest.
-fn say(data: &WhiskerData, pose: &Pose<'_>, full: f64) {
-    let (point, label) = (pose.point, pose.label);
-    let Some(moment) = label.moment_nmm else {
-        return eprintln!("twin: point {point}: a step went wrong (NaN or infinity): no moment");
-    };
-    let show = |m: &Vector3<f64>| {
-        let m = data.moments.components_nmm(m);
-        format!("({:.4}, {:.4}) N mm", m[0], m[1])
-    };
-    let place = label.arclength_mm.map_or("free".to_owned(), |s| format!("held at {s:.2} mm"));
-    let mut text = format!("twin: point {point}: {place}, {}", show(&moment));
-    if let Some(theirs) = &pose.outside {
-        text +=
-            &format!("; the session's label is {:.4} of full scale away", off(data, &moment, theirs, full));
+/// Why a pose has no certain moment; none where it has one.
+fn doubt(data: &WhiskerData, label: &PoseLabel) -> Option<String> {
+    if label.moment_nmm.is_none() {
+        return Some("a step went wrong (NaN or infinity)".to_owned());
     }
-    if !label.settled {
-        text += &format!("; not at rest ({:.1e} rad/s)", label.fastest_rad_s);
-    }
-    if label.chatters {
-        text += "; chatters";
-    }
-    if label.overlap_mm > data.whisker.diameter_mm / 2.0 {
-        text += &format!("; sinks {:.2} mm into the tip, past the wire's radius", label.overlap_mm);
-    }
-    eprintln!("{text}");
     if let Some(other) = &label.elsewhere {
         let place = other.arclength_mm.map_or("free".to_owned(), |s| format!("held at {s:.2} mm"));
-        eprintln!(
-            "twin: point {point}: come to straight from the start it is {place}, {}",
-            show(&other.moment_nmm)
-        );
+        let m = data.moments.components_nmm(&other.moment_nmm);
+        let moment = format!("({:.4}, {:.4}) N mm", m[0], m[1]);
+        return Some(format!("come to straight from the start it is {place}, {moment}"));
     }
-    if !label.certain() {
-        let stable = match pose.stable {
-            1 => "one stable equilibrium".to_owned(),
-            n => format!("{n} stable equilibria"),
-        };
-        eprintln!(
-            "twin: point {point}: no certain moment, though a frictionless groove has {stable} here: on its quick way the groove swings the wire, and the tip's friction holds it or lets it slide; history, step and MuJoCo's version decide on the moment"
-        );
-    }
+    (!label.settled).then(|| format!("not at rest ({:.1e} rad/s)", label.fastest_rad_s))
 }
 
 /// Median and largest, and where that is.
@@ -166,27 +134,22 @@ fn spread(mut values: Vec<(f64, i64)>) -> Option<(f64, f64, i64)> {
 }
 
 /// Says what is known of all poses together.
-fn summary(data: &WhiskerData, poses: &[Pose<'_>], full: f64) {
+fn summary(data: &WhiskerData, poses: &[Pose<'_>]) {
     let say = |line: String| eprintln!("twin: {line}");
-    let points = |of: Vec<&Pose<'_>>| of.iter().map(|p| p.point.to_string()).collect::<Vec<_>>().join(", ");
     let (sure, unsure): (Vec<&Pose<'_>>, Vec<&Pose<'_>>) = poses.iter().partition(|p| p.label.certain());
-    say(match unsure.len() {
+    let points: Vec<String> = unsure.iter().map(|p| p.point.to_string()).collect();
+    say(match points.len() {
         0 => format!("the wire rests in one place at each of {} poses", poses.len()),
-        n => format!("{n} of {} poses have no certain moment: {}", poses.len(), points(unsure.clone())),
+        n => format!("{n} of {} poses have no certain moment: {}", poses.len(), points.join(", ")),
     });
-    // Largest difference of these poses from the session's labels, and how many there are.
-    let agreement = |of: &[&Pose<'_>]| {
-        let offs = of.iter().filter_map(|p| Some(off(data, &p.label.moment_nmm?, p.outside.as_ref()?, full)));
-        offs.fold((0, 0.0_f64), |(n, most), off| (n + 1, most.max(off)))
-    };
-    let [(labels, most), (others, beyond)] = [agreement(&sure), agreement(&unsure)];
-    if labels + others > 0 {
-        let rest = match others {
-            0 => String::new(),
-            n => format!("; those of the {n} without a certain moment, within {beyond:.1e}"),
-        };
+    let full = full_scale(data);
+    let offs = sure.iter().filter_map(|p| Some(off(data, &p.label.moment_nmm?, p.outside.as_ref()?, full)));
+    let offs: Vec<f64> = offs.collect();
+    if !offs.is_empty() {
         say(format!(
-            "{labels} labels of the session, at poses with a certain moment: within {most:.1e} of full scale{rest}"
+            "{} labels of the session, at poses with a certain moment: within {:.1e} of full scale",
+            offs.len(),
+            offs.iter().copied().fold(0.0, f64::max)
         ));
     }
     let worst = |of: &dyn Fn(&PoseLabel) -> f64| {

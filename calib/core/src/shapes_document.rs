@@ -142,18 +142,6 @@ pub fn rig_sha256(rig: &serde_json::Value) -> String {
     crate::provenance::sha256_hex(crate::provenance::canonical_json(&parts.into()).as_bytes())
 }
 
-/// What one standard deviation of an error does to a wire.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
-pub struct SharedError {
-    /// "cameras", "line" or "end".
-    pub cause: String,
-    /// Displacement of each point of the centre line, base frame, mm; empty: none moves.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub displacement_mm: Vec<[f64; 3]>,
-    /// Change of the length, mm.
-    pub length_mm: f64,
-}
-
 /// One pair.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
@@ -179,10 +167,6 @@ pub struct PairDocument {
     pub length_mm: f64,
     /// Standard deviation of the length, mm.
     pub length_sd_mm: f64,
-    /// Independent errors that all pairs share, in the same order for every pair: the cameras' calibration, largest part first, the whole
-    /// line (uneven light), and the form of the wire's end. They are in the standard deviations above too.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub shared_errors: Vec<SharedError>,
     /// Errors of the observations, a pair's own and shared ones; absent for pairs that were rejected.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub errors: Option<PairErrors>,

@@ -2,7 +2,7 @@
 //!
 //! Everything is public; an empty list means "not part of this run" and the section says so.
 
-use wcal_core::verify_document::{EffectParameter, HeldOutError, Verdict, VerifyDocument};
+use wcal_core::verify_document::{HeldOutError, Verdict, VerifyDocument};
 use wcal_core::{Provenance, ResidualRecord};
 
 /// Everything that the page of one session shows.
@@ -23,18 +23,12 @@ pub struct ReportInput {
     pub residuals: Vec<ResidualRecord>,
     /// Further held-out errors in addition to `verify.before` and `verify.after`: the black-box rival, other splits, repaired labels.
     pub further_errors: Vec<NamedError>,
-    /// Stages in the order in which they ran, with their outcome in words.
-    pub steps: Vec<Fact>,
     /// Tests of the omnibus gate.
     pub gate: Vec<GateTest>,
-    /// Names of the two moments, e.g. `x moment` and `z moment`; used by the twin check and the errors.
-    pub moment_names: [String; 2],
     /// Twin check, one entry a trajectory.
     pub twin: Vec<TwinTrajectory>,
-    /// Candidates that were tested, best first.
-    pub evidence: Vec<EvidenceRow>,
     /// Explanations that were refitted, best first.
-    pub explanations: Vec<Explanation>,
+    pub evidence: Vec<EvidenceRow>,
     /// Program, command, seed and files by hash.
     pub provenance: Provenance,
     /// Versions of what took part, e.g. `rustc` and `1.95.0`.
@@ -52,12 +46,9 @@ impl ReportInput {
             verify,
             residuals: Vec::new(),
             further_errors: Vec::new(),
-            steps: Vec::new(),
             gate: Vec::new(),
-            moment_names: ["moment 1".into(), "moment 2".into()],
             twin: Vec::new(),
             evidence: Vec::new(),
-            explanations: Vec::new(),
             provenance,
             versions: Vec::new(),
         }
@@ -141,28 +132,20 @@ pub struct GateTest {
     pub detail: String,
 }
 
+/// Names of the two moments.
+pub(crate) const MOMENT_NAMES: [&str; 2] = ["moment 1", "moment 2"];
+
 /// Twin check along one trajectory.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TwinTrajectory {
     /// Trajectory as in the points table.
     pub id: u32,
-    /// Branches that the rod followed.
-    pub branches: Vec<RodBranch>,
-    /// Labels of the outside twin.
-    pub labels: Vec<TwinMark>,
-    /// Stage positions at which the rod snaps, mm.
-    pub snaps_mm: Vec<f64>,
-}
-
-/// One equilibrium branch of the rod along a trajectory.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RodBranch {
-    /// Name, e.g. `followed from first touch`.
-    pub name: String,
     /// Stage positions in order, mm.
     pub stage_mm: Vec<f64>,
-    /// Moments at those positions, N mm, same length.
+    /// Moments of the rod followed from first touch, at those positions, N mm.
     pub moment_nmm: Vec<[f64; 2]>,
+    /// Labels of the outside twin.
+    pub labels: Vec<TwinMark>,
 }
 
 /// One label of the outside twin.
@@ -174,42 +157,23 @@ pub struct TwinMark {
     pub stage_mm: f64,
     /// Moments, N mm.
     pub moment_nmm: [f64; 2],
-    /// Kind of fault; `None` for a good label.
-    pub fault: Option<String>,
-}
-
-/// One candidate that was tested.
-#[derive(Debug, Clone, PartialEq)]
-pub struct EvidenceRow {
-    /// Effect identifier.
-    pub id: String,
-    /// Law, e.g. `position lags by b after a reversal`.
-    pub law: String,
-    /// Fitted parameters; empty where it was not fitted.
-    pub parameters: Vec<EffectParameter>,
-    /// Chi-square gained over the declared model.
-    pub chi2_gain: Option<f64>,
-    /// Parameters that it spends.
-    pub degrees_of_freedom: usize,
-    /// p-value adjusted for the whole catalogue.
-    pub p_adjusted: Option<f64>,
-    /// ln(likelihood / likelihood of the best), zero for the best, else negative.
-    pub log_likelihood_ratio: Option<f64>,
-    /// `accepted`, `survives`, `rejected`, `at bound`, `absorbed`, `not tested`, ...
-    pub status: String,
-    /// Reason in words; may be empty.
-    pub why: String,
 }
 
 /// One explanation: a set of effects that was refitted through the full model.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Explanation {
+pub struct EvidenceRow {
     /// Effects; empty: the declared model alone.
     pub effects: Vec<String>,
+    /// Law, e.g. `position lags by b after a reversal`.
+    pub law: String,
+    /// Chi-square gained over the declared model.
+    pub chi2_gain: f64,
+    /// Parameters that it spends.
+    pub degrees_of_freedom: usize,
     /// ln(likelihood / likelihood of the best), zero for the best, else negative.
     pub log_likelihood_ratio: f64,
     /// Bootstrap p-value of that ratio.
-    pub p_value: Option<f64>,
+    pub p_value: f64,
     /// Not rejected.
     pub survives: bool,
 }

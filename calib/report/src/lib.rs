@@ -5,9 +5,8 @@
 //!
 //! - [`render`]: the page of one session, from a [`ReportInput`].
 //! - [`render_index`]: an overview page that links to reports in the same folder.
-//! - [`render_tracking`]: the page of a tracker's training or evaluation, from a [`TrackingInput`].
 //! - [`render_shapes`]: the page of shapes from stereo pictures, from a [`ShapesInput`].
-//! - [`render_sweeps`]: the page of a (simulated) sweep dataset, from a [`SweepsInput`].
+//! - [`plain_page`]: any other page, from its sections; [`plot`], [`Table`] and [`list`] make what is in them.
 //!
 //! ```
 //! let verify = wcal_core::verify_document::VerifyDocument::refused("session", "axis", "no readings", 1);
@@ -20,20 +19,15 @@ mod input;
 mod markup;
 mod number;
 mod page;
-mod plot;
+pub mod plot;
 mod sections;
 mod shapes;
-mod sweeps;
-mod tracking;
 
 pub use input::{
-    EvidenceRow, Explanation, Fact, GateTest, IndexEntry, NamedError, ReportInput, RodBranch, TwinMark,
-    TwinTrajectory, model_after,
+    EvidenceRow, Fact, GateTest, IndexEntry, NamedError, ReportInput, TwinMark, TwinTrajectory, model_after,
 };
+pub use markup::{Table, TableCell, list};
 pub use number::{number, p_value, percent, with_interval};
-pub use page::{is_page, render, render_index};
+pub use page::{plain_page, render, render_index};
+pub use sections::{legend, series};
 pub use shapes::{ShapePair, ShapePicture, ShapesInput, render_shapes};
-pub use sweeps::{
-    EnginesCompared, ExampleSample, ExampleSweep, SpeedDifference, SweepsInput, SweptObject, render_sweeps,
-};
-pub use tracking::{Curves, NumberTable, TrackingInput, render_tracking};

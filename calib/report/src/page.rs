@@ -12,7 +12,7 @@ const STYLE: &str = include_str!("style.css");
 
 /// The page of one session.
 pub fn render(input: &ReportInput) -> String {
-    document(input.heading(), input.verify.simulated, &session(input, "", "h1"))
+    document(input.heading(), input.verify.simulated, &session(input))
 }
 
 /// An overview page that links to session reports in the same folder.
@@ -21,13 +21,8 @@ pub fn render_index(title: &str, introduction: &[&str], entries: &[IndexEntry]) 
     document(title, simulated, &overview(title, introduction, entries))
 }
 
-/// How every page begins: a page is told from other HTML by it.
+/// How every page begins.
 const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"/><meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/><meta name=\"color-scheme\" content=\"light dark\"/><link rel=\"icon\" href=\"data:,\"/><title>";
-
-/// Whether a file that begins so is a page of this program.
-pub fn is_page(start: &str) -> bool {
-    start.starts_with(HEAD)
-}
 
 /// Every page is well-formed XML too, so that a strict parser can check it.
 pub(crate) fn document(title: &str, simulated: bool, body: &str) -> String {
@@ -38,33 +33,33 @@ pub(crate) fn document(title: &str, simulated: bool, body: &str) -> String {
     )
 }
 
-/// Header with the verdict, contents and all sections of one session; `prefix` keeps anchors distinct.
-fn session(input: &ReportInput, prefix: &str, heading: &str) -> String {
-    let (below, sections) = (if heading == "h1" { "h2" } else { "h3" }, sections::all(input));
-    let mut out = format!("<article id=\"{prefix}top\">\n<header>\n{}", headline(input, heading));
-    let _ = write!(out, "{}<nav aria-label=\"Contents\"><ul>", banner(input));
+/// Header with the verdict, contents and all sections of a session.
+fn session(input: &ReportInput) -> String {
+    let sections = sections::all(input);
+    let mut out = format!("<article id=\"top\">\n<header>\n{}{}", headline(input), banner(input));
+    out.push_str("<nav aria-label=\"Contents\"><ul>");
     for section in &sections {
-        let _ = write!(out, "<li><a href=\"#{prefix}{}\">{}</a></li>", section.id, escape(section.title));
+        let _ = write!(out, "<li><a href=\"#{}\">{}</a></li>", section.id, escape(section.title));
     }
     out.push_str("</ul></nav>\n</header>\n");
     for section in &sections {
-        // Cards carry h5 for brevity in the sections; here they get the level below the section's own.
-        let body = section.body.replace("h5>", if below == "h2" { "h3>" } else { "h4>" });
-        let _ = write!(
-            out,
-            "<section id=\"{prefix}{id}\" aria-labelledby=\"{prefix}{id}-h\"><{below} id=\"{prefix}{id}-h\">{}</{below}>\n{body}</section>\n",
-            escape(section.title),
-            id = section.id
-        );
+        out += &section_html(section.id, section.title, &section.body);
     }
     out + "</article>\n"
 }
 
-fn headline(input: &ReportInput, heading: &str) -> String {
+fn section_html(id: &str, heading: &str, body: &str) -> String {
+    let heading = escape(heading);
+    format!(
+        "<section id=\"{id}\" aria-labelledby=\"{id}-h\"><h2 id=\"{id}-h\">{heading}</h2>\n{body}</section>\n"
+    )
+}
+
+fn headline(input: &ReportInput) -> String {
     let verify = &input.verify;
     let badge = if verify.simulated { SIMULATED } else { "" };
     let mut out = format!(
-        "<p class=\"over\">Calibration report · {} session <code>{}</code> {badge}</p>\n<{heading}>{}</{heading}>\n",
+        "<p class=\"over\">Calibration report · {} session <code>{}</code> {badge}</p>\n<h1>{}</h1>\n",
         escape(&verify.kind),
         escape(&verify.session),
         escape(input.heading())
@@ -96,14 +91,9 @@ fn banner(input: &ReportInput) -> String {
     out + "</div>\n"
 }
 
-/// A page of simulated results; see [`plain`].
-pub(crate) fn simulated(over: &str, title: &str, input: &[Fact], parts: &[(&str, &str, String)]) -> String {
-    plain((over, title), true, input, parts)
-}
-
 /// A page without a verdict: line above the heading and heading, whether the data are simulated, facts, and sections (anchor, heading,
 /// content) of which empty ones are left out.
-pub(crate) fn plain(
+pub fn plain_page(
     (over, title): (&str, &str),
     simulated: bool,
     input: &[Fact],
@@ -120,10 +110,7 @@ pub(crate) fn plain(
         facts(input)
     );
     for (id, heading, inner) in parts.iter().filter(|p| !p.2.is_empty()) {
-        let _ = write!(
-            body,
-            "<section id=\"{id}\" aria-labelledby=\"{id}-h\"><h2 id=\"{id}-h\">{heading}</h2>\n{inner}</section>\n"
-        );
+        body += &section_html(id, heading, inner);
     }
     document(title, simulated, &body)
 }

@@ -4,7 +4,7 @@
 use crate::input::Fact;
 use crate::markup::{Table, TableCell, escape, list};
 use crate::number::number;
-use crate::page::{facts, plain};
+use crate::page::{facts, plain_page};
 use crate::plot::{Axis, Layer, Plot};
 use crate::sections::{legend, series};
 use std::fmt::Write;
@@ -68,15 +68,14 @@ pub struct ShapePicture {
 
 /// The page.
 pub fn render_shapes(input: &ShapesInput) -> String {
-    let warnings = if input.warnings.is_empty() { String::new() } else { list(&input.warnings) };
     let pairs: String = input.pairs.iter().map(|p| pair(p, input.simulated)).collect();
     let space = if input.pairs.is_empty() { String::new() } else { space(input) };
-    plain(
+    plain_page(
         ("Shapes from stereo pictures", &input.title),
         input.simulated,
         &input.facts,
         &[
-            ("warnings", "Warnings", warnings),
+            ("warnings", "Warnings", list(&input.warnings)),
             ("space", "In space", space),
             ("rejected", "Rejected pairs", rejected(&input.rejected)),
             ("pairs", "Pairs", pairs),

@@ -43,14 +43,6 @@ pub enum VisionError {
         /// Cause.
         source: opencv::Error,
     },
-    /// A picture cannot be encoded.
-    #[error("encode {what}: {source}")]
-    Encoding {
-        /// Which one.
-        what: &'static str,
-        /// Cause.
-        source: image::ImageError,
-    },
 }
 
 impl VisionError {
@@ -68,11 +60,6 @@ impl VisionError {
         found: impl Into<String>,
     ) -> Self {
         Self::Result { action, expected: expected.into(), found: found.into() }
-    }
-
-    /// For `map_err`.
-    pub(crate) fn encoding(what: &'static str) -> impl FnOnce(image::ImageError) -> Self {
-        move |source| Self::Encoding { what, source }
     }
 }
 

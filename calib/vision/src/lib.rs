@@ -9,6 +9,7 @@
 pub mod calibrate;
 pub mod camera;
 pub mod error;
+mod homography;
 pub mod pairs;
 pub mod picture;
 pub mod profile;

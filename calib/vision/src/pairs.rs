@@ -1,6 +1,7 @@
 //! Pairs the pictures of two folders (or `*` patterns) by the number in their names that varies, or by the whole name where it is the same.
 
 use crate::error::VisionError;
+use crate::picture::Picture;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -17,6 +18,40 @@ pub struct PairFiles {
     pub point: Option<i64>,
     /// Why the pair is not to be used, where that is known before the pictures are read.
     pub refused: Option<String>,
+}
+
+impl PairFiles {
+    /// Both pictures, of these sizes where cameras are calibrated; the reason where they cannot be used.
+    ///
+    /// # Errors
+    /// A sentence.
+    pub(crate) fn read(&self, calibrated_px: Option<[[usize; 2]; 2]>) -> Result<[Picture; 2], String> {
+        if let Some(why) = &self.refused {
+            return Err(why.clone());
+        }
+        let (Some(left), Some(right)) = (&self.left, &self.right) else {
+            let side = if self.left.is_none() { "left" } else { "right" };
+            return Err(format!("the {side} picture is missing"));
+        };
+        let read = |path: &PathBuf, camera: usize| {
+            let picture = Picture::read(path).map_err(|e| e.to_string())?;
+            let found = [picture.width, picture.height];
+            let [w, h] = calibrated_px.map_or(found, |sizes| sizes[camera]);
+            let path = path.display();
+            if found != [w, h] {
+                return Err(format!(
+                    "{path}: expected {w}x{h} px as calibrated, found {}x{}",
+                    found[0], found[1]
+                ));
+            }
+            picture.unusable().map_or(Ok(picture), |why| Err(format!("{path}: {why}")))
+        };
+        let pictures = [read(left, 0)?, read(right, 1)?];
+        if pictures[0] == pictures[1] {
+            return Err("the left and the right picture are the same".into());
+        }
+        Ok(pictures)
+    }
 }
 
 /// Picture files of a folder or of a pattern such as `pictures/left*.jpg`, sorted by name.

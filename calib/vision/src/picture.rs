@@ -2,9 +2,13 @@
 //! Pixel centres lie at integers: (0, 0) is the centre of the first pixel.
 
 use crate::error::{OpenCvContext, VisionError};
-use image::DynamicImage;
+use image::codecs::jpeg::JpegEncoder;
+use image::{DynamicImage, ExtendedColorType};
 use opencv::core::Mat;
 use std::path::Path;
+
+/// Quality of a JPEG.
+const JPEG_QUALITY: u8 = 80;
 
 /// An 8-bit grey picture, rows from the top.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -63,22 +67,6 @@ impl Picture {
         Self::new(width, height, data)
     }
 
-    /// The picture halved (means of 2x2 pixels) until it is no wider than `width_px`.
-    pub fn reduced(&self, width_px: usize) -> Self {
-        let mut small = self.clone();
-        while small.width > width_px && small.height > 1 {
-            let (width, height) = (small.width / 2, small.height / 2);
-            let mean = |k: usize| {
-                let at = 2 * (k / width) * small.width + 2 * (k % width);
-                let below = at + small.width;
-                let sum: u16 = [at, at + 1, below, below + 1].map(|p| u16::from(small.data[p])).iter().sum();
-                ((sum + 2) / 4) as u8
-            };
-            small = Self { width, height, data: (0..width * height).map(mean).collect() };
-        }
-        small
-    }
-
     /// Grey value of a pixel; the border is continued outwards.
     pub fn at(&self, x: i64, y: i64) -> f64 {
         let x = x.clamp(0, self.width as i64 - 1) as usize;
@@ -131,17 +119,22 @@ impl Picture {
         None
     }
 
+    /// The picture as JPEG, for looking at.
+    ///
+    /// # Errors
+    /// Where it cannot be encoded.
+    pub fn jpeg(&self) -> Result<Vec<u8>, VisionError> {
+        let mut bytes = Vec::new();
+        JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)
+            .encode(&self.data, self.width as u32, self.height as u32, ExtendedColorType::L8)
+            .map_err(|e| VisionError::result("encode a picture", "a JPEG", e.to_string()))?;
+        Ok(bytes)
+    }
+
     /// The picture as an OpenCV matrix (a copy).
     pub(crate) fn to_mat(&self) -> Result<Mat, VisionError> {
         let rows: Vec<&[u8]> = self.data.chunks_exact(self.width).collect();
         Mat::from_slice_2d(&rows).doing("copy a picture")
-    }
-
-    /// SHA-256 of size and pixels; identical pictures have the same.
-    pub fn hash(&self) -> String {
-        let mut bytes = format!("{}x{}:", self.width, self.height).into_bytes();
-        bytes.extend_from_slice(&self.data);
-        wcal_core::provenance::sha256_hex(&bytes)
     }
 }
 

@@ -3,7 +3,8 @@
 use crate::error::VisionError;
 use crate::rigid::pose_from_rows;
 use nalgebra::{Isometry3, Vector3};
-use serde::Deserialize;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer};
 use std::path::Path;
 use wcal_core::document::{DocumentError, from_toml};
 use wcal_core::observation::WHISKER_RANGES;
@@ -13,7 +14,7 @@ use wcal_core::rig_devices::{RIG_FORMAT, RIG_RANGES};
 struct RigFile {
     whisker: WhiskerFile,
     #[serde(default)]
-    tags: Vec<TagFile>,
+    tags: Vec<RigTag>,
     groove: Option<GrooveFile>,
 }
 
@@ -23,15 +24,6 @@ struct WhiskerFile {
     length_mm: f64,
     straight_mm: Option<f64>,
     arc_radius_mm: Option<f64>,
-}
-
-#[derive(Deserialize)]
-struct TagFile {
-    id: u32,
-    family: String,
-    size_mm: f64,
-    body: String,
-    base_from_tag: Option<[[f64; 4]; 4]>,
 }
 
 #[derive(Deserialize)]
@@ -56,7 +48,7 @@ pub struct RigWhisker {
 }
 
 /// A tag of the rig.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct RigTag {
     /// Number.
     pub id: u32,
@@ -67,6 +59,7 @@ pub struct RigTag {
     /// `base`, `rig`.
     pub body: String,
     /// Pose in the base frame, for tags on the base.
+    #[serde(default, deserialize_with = "pose")]
     pub base_from_tag: Option<Isometry3<f64>>,
 }
 
@@ -134,24 +127,7 @@ impl Rig {
             straight_mm: w.straight_mm.unwrap_or(length_mm),
             arc_curvature_per_mm: w.arc_radius_mm.map_or(0.0, |radius_mm| 1.0 / radius_mm),
         };
-        let tags = file
-            .tags
-            .into_iter()
-            .map(|t| {
-                let base_from_tag = match &t.base_from_tag {
-                    None => None,
-                    Some(m) => Some(pose_from_rows(m).ok_or_else(|| {
-                        VisionError::content(
-                            name,
-                            format!("tag {}: base_from_tag as a rigid 4x4 transform", t.id),
-                            format!("{m:?}"),
-                        )
-                    })?),
-                };
-                Ok(RigTag { id: t.id, size_mm: t.size_mm, family: t.family, body: t.body, base_from_tag })
-            })
-            .collect::<Result<Vec<_>, VisionError>>()?;
-        let (tags, remarks) = each_once(name, tags)?;
+        let (tags, remarks) = each_once(name, file.tags)?;
         if !tags.iter().any(|t| t.base_from_tag.is_some()) {
             return Err(VisionError::content(name, "a tag with base_from_tag (on the base)", "none"));
         }
@@ -174,6 +150,14 @@ impl Rig {
         }
         Ok(Self { whisker, tags, groove, remarks })
     }
+}
+
+/// The rows of a rigid 4x4 transform.
+fn pose<'de, D: Deserializer<'de>>(of: D) -> Result<Option<Isometry3<f64>>, D::Error> {
+    let rows = <[[f64; 4]; 4]>::deserialize(of)?;
+    let found =
+        || D::Error::custom(format!("expected base_from_tag as a rigid 4x4 transform, found {rows:?}"));
+    pose_from_rows(&rows).map(Some).ok_or_else(found)
 }
 
 /// Counts a tag that is stated twice once.

@@ -6,6 +6,7 @@ mod order;
 mod report;
 pub mod slurm;
 
+use crate::commands::page::render;
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use document::print;
@@ -147,7 +148,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     let document = order.write_document(args, &totals, missing)?;
     if args.report {
         let page = report::page(&document, &args.out, &dataset.shards())?;
-        write(&args.out, "report.html", wcal_report::render_sweeps(&page).as_bytes())?;
+        write(&args.out, "report.html", render(&page).as_bytes())?;
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&document)?);

@@ -2,6 +2,7 @@
 
 mod sweeps;
 
+use super::page::{Curves, Page, PlainTable, render};
 use super::simulate::whisker;
 use crate::model_file::{Card, read_card};
 use crate::train::{Pass, TrainSettings, best};
@@ -14,7 +15,7 @@ use std::process::ExitCode;
 use sweeps::Sweeps;
 use wcal::output::{Overwrite, ResultKind, unsaid};
 use wcal::progress::Progress;
-use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
+use wcal_report::Fact;
 
 /// Arguments of `wcal-lab train`.
 #[derive(Debug, Args)]
@@ -166,21 +167,21 @@ fn on_pass(pass: &Pass) {
 /// Learning curves and what was learned from.
 fn page(card: &Card) -> String {
     let line = |value: fn(&Pass) -> f64| card.passes.iter().map(|p| [p.epoch as f64, value(p)]).collect();
-    let mark = best(&card.passes).map(|b| (b.epoch as f64, "kept".to_owned()));
+    let marks: Vec<_> = best(&card.passes).map(|b| (b.epoch as f64, "kept".to_owned())).into_iter().collect();
     let x = "pass".to_owned();
     let loss = Curves {
-        title: "Loss".into(),
+        title: "Loss (vertical line: the pass that is kept)".into(),
         x: x.clone(),
         y: "loss".into(),
         lines: vec![("training".into(), line(|p| p.loss)), ("held out".into(), line(|p| p.held_out_loss))],
-        mark: mark.clone(),
+        marks: marks.clone(),
     };
     let off = Curves {
         title: "RMSE of the true contact, held out".into(),
         x,
         y: "RMSE, mm".into(),
         lines: vec![("held out".into(), line(|p| p.held_out_mm))],
-        mark,
+        marks,
     };
     let fact = |name: &str, value: String| Fact::new(name, value);
     let [training, held_out, unseen] =
@@ -190,7 +191,7 @@ fn page(card: &Card) -> String {
         let numbers = [p.loss, p.held_out_loss, p.held_out_mm].map(|v| format!("{v:.3}"));
         std::iter::once(p.epoch.to_string()).chain(numbers).chain([format!("{:.0}", p.seconds)]).collect()
     };
-    render_tracking(&TrackingInput {
+    render(&Page {
         over: "Contact tracker".into(),
         title: "Training".into(),
         facts: vec![
@@ -204,9 +205,11 @@ fn page(card: &Card) -> String {
         ],
         notes: Vec::new(),
         curves: if card.passes.is_empty() { Vec::new() } else { vec![loss, off] },
-        tables: vec![NumberTable {
+        tables: vec![PlainTable {
             caption: "Passes".into(),
-            columns: ["pass", "loss", "held-out loss", "held-out RMSE, mm", "s"].map(str::to_owned).into(),
+            columns: ["pass", "#loss", "#held-out loss", "#held-out RMSE, mm", "#s"]
+                .map(str::to_owned)
+                .into(),
             rows: card.passes.iter().map(row).collect(),
         }],
     })

@@ -540,7 +540,10 @@ fn shapes() -> Value {
         serde_json::json!([x_mm, 0.0, -radius_mm * (1.0 - turn.cos())])
     };
     let line: Vec<Value> = (0..=60).map(|s| point(f64::from(s))).collect();
-    let moved = vec![serde_json::json!([0.0, 0.001, 0.0]); line.len()];
+    let error = |by_mm: f64| {
+        let moved = vec![serde_json::json!([0.0, by_mm, 0.0]); 3];
+        serde_json::json!({"centreline_mm": moved, "length_mm": 0.01})
+    };
     let pair = |k: usize| {
         serde_json::json!({
             "name": format!("{k}"), "status": "ok", "centreline_mm": line, "centreline_sd_mm": vec![0.02; line.len()],
@@ -549,9 +552,15 @@ fn shapes() -> Value {
                 "position_mm": point(40.0), "sd_mm": [0.02, 0.02, 0.02], "contact_arclength_mm": 40.0,
                 "contact_arclength_sd_mm": 0.05, "axis": [1.0, 0.0, 0.0], "contact": "vertex", "contacts_mm": [40.0],
             },
-            "shared_errors": [{"cause": "line", "displacement_mm": moved, "length_mm": 0.01}],
+            "errors": {
+                "stations": [0, 30, 60], "stations_mm": [0.0, 30.0, 60.0], "own": [], "floor_mm": 0.0,
+                "shared": [error(0.001), error(0.002)],
+            },
         })
     };
     let format = wcal_core::shapes_document::SHAPES_FORMAT;
-    serde_json::json!({"format": format, "pairs": [pair(1), pair(2), pair(3)]})
+    serde_json::json!({
+        "format": format, "pairs": [pair(1), pair(2), pair(3)],
+        "shared_covariance": [[1.0, 0.1], [0.1, 1.0]],
+    })
 }

@@ -67,7 +67,6 @@ pub fn whisker() -> ReportInput {
     let mut input = ReportInput::new(verify, provenance("sample-whisker"));
     input.title = "Whisker 3, 27 poses with return strokes".into();
     input.simulated_by = Some(SAMPLE.into());
-    input.moment_names = ["y moment".into(), "z moment".into()];
     input.facts = vec![
         Fact::new("wire", "NiTi, 0.3 mm, 60 mm"),
         Fact::new("medium", "air"),
@@ -86,13 +85,6 @@ pub fn whisker() -> ReportInput {
 }
 
 fn tracing(input: &mut ReportInput) {
-    input.steps = vec![
-        Fact::new("0 twin check", "3 of 27 labels faulty, repaired by the rod"),
-        Fact::new("1 noise floor", "0.62 pm from 36 replicates"),
-        Fact::new("3 baseline fit", "converged, rank 6 of 6"),
-        Fact::new("4 gate", "rejected"),
-        Fact::new("9 adequacy", "not rejected with the effect added"),
-    ];
     input.gate = vec![
         GateTest {
             name: "lack of fit F".into(),
@@ -107,57 +99,27 @@ fn tracing(input: &mut ReportInput) {
             detail: String::new(),
         },
     ];
-    let names = [
-        "groove-friction",
-        "stage-backlash",
-        "creep",
-        "hysteresis",
-        "base-compliance",
-        "zero-drift",
-        "time-lag",
-    ];
-    let gains = [812.0, 804.4, 341.0, 322.5, 44.1, 3.2, 1.1];
-    let status = ["accepted", "survives", "rejected", "rejected", "at bound", "rejected", "rejected"];
-    input.evidence = names
-        .iter()
-        .enumerate()
-        .map(|(k, id)| EvidenceRow {
-            id: (*id).into(),
-            law: [
-                "|F·t| ≤ µ N against sliding",
-                "position lags by b after a reversal",
-                "m + a · relaxed(m, τ)",
-                "play operators",
-                "root turns by C m",
-                "linear in time",
-                "x − v τ while moving",
-            ][k]
-                .into(),
-            parameters: match k {
-                0 => vec![parameter("friction_coefficient", 0.213, "1", [0.184, 0.242])],
-                1 => vec![parameter("backlash_um", 21.4, "um", [18.9, 23.8])],
-                4 => vec![parameter("compliance", 0.06, "rad/(N mm)", [0.041, 0.06])],
-                _ => vec![],
-            },
-            chi2_gain: Some(gains[k]),
-            degrees_of_freedom: 1 + k % 2,
-            p_adjusted: Some([0.0005, 0.0005, 0.0005, 0.0005, 0.013, 0.71, 0.96][k]),
-            log_likelihood_ratio: Some((gains[k] - gains[0]) / 2.0),
-            status: status[k].into(),
-            why: if k == 4 { "at the edge of its physical range".into() } else { String::new() },
-        })
-        .collect();
-    let explanation = |effects: &[&str], ratio, p, survives| Explanation {
+    let row = |effects: &[&str], law: &str, chi2_gain, log_likelihood_ratio, p_value| EvidenceRow {
         effects: effects.iter().map(|e| (*e).to_owned()).collect(),
-        log_likelihood_ratio: ratio,
-        p_value: p,
-        survives,
+        law: law.to_owned(),
+        chi2_gain,
+        degrees_of_freedom: effects.len(),
+        log_likelihood_ratio,
+        p_value,
+        survives: p_value > 0.05,
     };
-    input.explanations = vec![
-        explanation(&["groove-friction"], 0.0, None, true),
-        explanation(&["stage-backlash", "creep"], -1.9, Some(0.17), true),
-        explanation(&["stage-backlash"], -3.8, Some(0.012), false),
-        explanation(&["hysteresis"], -11.2, Some(0.0005), false),
+    input.evidence = vec![
+        row(&["groove-friction"], "|F·t| ≤ µ N against sliding", 812.0, 0.0, 1.0),
+        row(
+            &["stage-backlash", "creep"],
+            "position lags by b after a reversal + m + a · relaxed(m, τ)",
+            808.2,
+            -1.9,
+            0.17,
+        ),
+        row(&["stage-backlash"], "position lags by b after a reversal", 804.4, -3.8, 0.012),
+        row(&["hysteresis"], "play operators", 789.6, -11.2, 0.0005),
+        row(&[], "", 0.0, -406.0, 0.0005),
     ];
     input.versions = vec![Fact::new("rustc", "1.95.0")];
 }
@@ -167,29 +129,20 @@ fn twin(id: u32) -> TwinTrajectory {
     let moment =
         |s: f64| [-0.21 * s * (1.0 + 0.06 * s) * lean.cos(), 0.17 * s * (1.0 + 0.03 * s) * lean.sin()];
     let stages: Vec<f64> = (0..=40).map(|k| 0.1 * f64::from(k)).collect();
-    let mut branches = vec![RodBranch {
-        name: "followed from first touch".into(),
-        moment_nmm: stages.iter().map(|s| moment(*s)).collect(),
-        stage_mm: stages,
-    }];
-    if id == 4 {
-        let after: Vec<f64> = (0..=14).map(|k| 2.6 + 0.1 * f64::from(k)).collect();
-        let moment_nmm = after.iter().map(|s| moment(*s).map(|m| 0.55 * m)).collect();
-        branches.push(RodBranch { name: "after the snap".into(), stage_mm: after, moment_nmm });
-    }
     let labels = (0..3)
         .map(|k| {
             let point = i64::from(3 * (id - 1) + k + 1);
             let stage_mm = 4.0 / 3.0 * f64::from(k + 1);
-            let (factor, fault) = match point {
-                11 | 12 => (0.55, Some("branch".to_owned())),
-                25 => (1.25, None),
-                _ => (1.002, None),
+            let factor = match point {
+                11 | 12 => 0.55,
+                25 => 1.25,
+                _ => 1.002,
             };
-            TwinMark { point, stage_mm, moment_nmm: moment(stage_mm).map(|m| factor * m), fault }
+            TwinMark { point, stage_mm, moment_nmm: moment(stage_mm).map(|m| factor * m) }
         })
         .collect();
-    TwinTrajectory { id, branches, labels, snaps_mm: if id == 4 { vec![3.55] } else { vec![] } }
+    let moment_nmm = stages.iter().map(|s| moment(*s)).collect();
+    TwinTrajectory { id, stage_mm: stages, moment_nmm, labels }
 }
 
 fn whisker_residuals() -> Vec<ResidualRecord> {

@@ -1,6 +1,6 @@
 //! Drawing of a two-axis chart.
 
-use super::{Layer, Marker, Plot, open_svg, px, text_width};
+use super::{Layer, Marker, Plot, px, text_width};
 use crate::markup::escape;
 use std::fmt::Write;
 
@@ -33,70 +33,26 @@ pub(super) fn plot(plot: &Plot) -> String {
     let widest = y_ticks.iter().map(|t| text_width(&t.1)).fold(18.0, f64::max);
     let left = widest + 28.0;
     let title = if plot.title.is_empty() { 10.0 } else { 24.0 };
-    let mut frame =
+    let frame =
         Frame { plot, left, top: title, width: plot.width - left - 12.0, height: plot.height - title - 38.0 };
-    // Words at vertical lines stand above the frame, where no data are.
-    let words = words(&frame);
-    let lines = words.iter().map(|w| w.line + 1).max().unwrap_or(0);
-    frame.top += WORD_LINE * lines as f64;
-    frame.height -= WORD_LINE * lines as f64;
-    let mut out = open_svg("", plot.width, plot.height, &plot.title, &plot.description);
+    let mut out = format!(
+        "<svg class=\"chart\" viewBox=\"0 0 {:.0} {:.0}\" role=\"img\" xmlns=\"http://www.w3.org/2000/svg\"><title>{}</title><desc>{}</desc>",
+        plot.width,
+        plot.height,
+        escape(&plot.title),
+        escape(&plot.description)
+    );
     if !plot.title.is_empty() {
-        let _ = write!(
-            out,
-            "<text class=\"head\" x=\"{}\" y=\"14\">{}</text>",
-            px(frame.left),
-            escape(&plot.title)
-        );
+        let (x, title) = (px(frame.left), escape(&plot.title));
+        let _ = write!(out, "<text class=\"head\" x=\"{x}\" y=\"14\">{title}</text>");
     }
     bands(&mut out, &frame);
     axes(&mut out, &frame, &y_ticks, &y_label);
     for layer in &plot.layers {
         draw_layer(&mut out, &frame, layer);
     }
-    for word in &words {
-        let y = px(frame.top - 3.0 - WORD_LINE * word.line as f64);
-        let _ =
-            write!(out, "<text class=\"tick\" x=\"{}\" y=\"{y}\">{}</text>", px(word.x), escape(word.text));
-    }
     out.push_str("</svg>\n");
     out
-}
-
-/// Height of a line of words above the frame.
-const WORD_LINE: f64 = 12.0;
-/// Words that do not fit into this many lines are left out; their lines stay.
-const WORD_LINES: usize = 3;
-
-/// A word at a vertical line.
-struct LineLabel<'a> {
-    text: &'a str,
-    x: f64,
-    /// Line above the frame, the lowest first.
-    line: usize,
-}
-
-/// Places of the words, none over another.
-fn words<'a>(frame: &Frame<'a>) -> Vec<LineLabel<'a>> {
-    let mut rules: Vec<(f64, &str)> = Vec::new();
-    for layer in &frame.plot.layers {
-        if let Layer::VerticalRule { at, label } = layer
-            && let Some(x) = frame.x(*at).filter(|_| !label.is_empty())
-        {
-            rules.push((x, label));
-        }
-    }
-    rules.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut ends = [f64::NEG_INFINITY; WORD_LINES];
-    let mut words = Vec::new();
-    for (x, text) in rules {
-        // A word at the right edge ends there.
-        let x = (x + 2.0).min(frame.plot.width - text_width(text));
-        let Some(line) = ends.iter().position(|end| *end + 4.0 <= x) else { continue };
-        ends[line] = x + text_width(text);
-        words.push(LineLabel { text, x, line });
-    }
-    words
 }
 
 /// Bands lie below the grid, so that it stays visible.
@@ -294,38 +250,6 @@ mod tests {
         );
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
         assert_eq!(svg.matches("h.01").count(), 2);
-    }
-
-    #[test]
-    fn words_at_vertical_lines_stand_above_the_data_and_not_on_one_another() {
-        let rule = |at: f64, label: &str| Layer::VerticalRule { at, label: label.into() };
-        let svg = Plot {
-            title: "t".into(),
-            description: "d".into(),
-            width: 280.0,
-            height: 190.0,
-            x: Axis::fixed("x", 0.0, 10.0),
-            y: Axis::fixed("y", 0.0, 1.0),
-            layers: vec![rule(5.0, "jump"), rule(5.2, "slip"), rule(9.0, "far")],
-        }
-        .svg();
-        let place = |word: &str| {
-            let before = &svg[..svg.find(&format!(">{word}</text>")).unwrap()];
-            let y = before.rsplit("y=\"").next().unwrap().split('"').next().unwrap();
-            y.parse::<f64>().unwrap()
-        };
-        let top: f64 = svg
-            .split("class=\"rule\" d=\"M")
-            .nth(1)
-            .unwrap()
-            .split([' ', 'V'])
-            .nth(1)
-            .unwrap()
-            .parse()
-            .unwrap();
-        assert!(["jump", "slip", "far"].iter().all(|w| place(w) < top), "{svg}");
-        // Two near lines need two lines of words; one far away does not.
-        assert!(place("jump") != place("slip") && place("jump") == place("far"), "{svg}");
     }
 
     #[test]

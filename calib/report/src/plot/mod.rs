@@ -2,10 +2,8 @@
 
 mod axis;
 mod draw;
-mod rows;
 
 pub use axis::Axis;
-pub use rows::{Mark, RowChart, RowItem};
 
 /// Shape of a point; every series differs in shape as well as in colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,11 +53,11 @@ pub enum Layer {
         /// Value of y.
         at: f64,
     },
-    /// Vertical line with a label.
+    /// Vertical line.
     VerticalRule {
         /// Value of x.
         at: f64,
-        /// Word; may be empty.
+        /// Hover text; may be empty.
         label: String,
     },
 }
@@ -88,15 +86,6 @@ impl Plot {
     pub fn svg(&self) -> String {
         draw::plot(self)
     }
-}
-
-/// Opening tag with the accessible name and description; each chart closes it itself.
-fn open_svg(class: &str, width: f64, height: f64, title: &str, description: &str) -> String {
-    format!(
-        "<svg class=\"chart {class}\" viewBox=\"0 0 {width:.0} {height:.0}\" role=\"img\" xmlns=\"http://www.w3.org/2000/svg\"><title>{}</title><desc>{}</desc>",
-        crate::markup::escape(title),
-        crate::markup::escape(description)
-    )
 }
 
 /// Coordinate in SVG units with one decimal.

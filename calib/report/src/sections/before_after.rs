@@ -1,9 +1,9 @@
 //! Held-out errors and the noise floor: table and picture.
 
-use crate::input::{IndexEntry, ReportInput};
+use crate::input::{IndexEntry, MOMENT_NAMES, ReportInput};
 use crate::markup::{Table, TableCell};
 use crate::number::{NOT_AVAILABLE, join_unit, number, percent, with_interval};
-use crate::plot::{Axis, Mark, RowChart, RowItem};
+use crate::plot::{Axis, Layer, Marker, Plot};
 use wcal_core::verify_document::{GrooveTracking, HeldOutError, NoiseFloor, SweepJudgement, VerifyDocument};
 
 /// One column: an error and the floor that it is held against.
@@ -64,7 +64,7 @@ fn quantities(input: &ReportInput, errors: &[&HeldOutError]) -> Vec<Quantity> {
     if errors.iter().any(|e| e.moment_rmse_nmm_each.is_some()) {
         out.extend((0..2).map(|k| Quantity {
             key: String::new(),
-            name: input.moment_names[k].clone(),
+            name: MOMENT_NAMES[k].into(),
             unit: "N\u{a0}mm".into(),
             floor: floor.moment_nmm,
             each: Some(k),
@@ -241,35 +241,63 @@ fn split_words(split: &str) -> &str {
     }
 }
 
-/// Errors of one quantity over a logarithmic axis; none where no model has a positive one.
-fn chart(quantity: &Quantity, models: &[Model<'_>]) -> Option<String> {
-    let mut rows = Vec::new();
-    let mut reach: Vec<f64> = quantity.floor.into_iter().collect();
-    for model in models {
-        let (value, interval) = quantity.of(model.error);
-        let Some(value) = value.filter(|v| *v > 0.0 && v.is_finite()) else { continue };
-        reach.push(value);
-        reach.extend(interval.into_iter().flatten());
-        rows.push(RowItem {
-            label: format!("{} ({})", model.name, model.error.split),
-            value: join_unit(&value_text(value, interval).0, &quantity.unit),
-            class: model.class,
-            mark: Mark::Dot(value, interval),
-        });
+/// A value of one item with its interval, and a second value to compare it with.
+struct Row {
+    name: String,
+    /// Colour class.
+    class: &'static str,
+    value: f64,
+    interval: Option<[f64; 2]>,
+    other: Option<f64>,
+}
+
+/// Items below one another over a common logarithmic axis; a vertical line at `rule`.
+fn rows_chart(title: &str, description: &str, label: &str, rows: &[Row], rule: Option<f64>) -> String {
+    let values = rows.iter().flat_map(|r| r.interval.into_iter().flatten().chain(r.other).chain([r.value]));
+    let x = Axis::log_covering(label, values.chain(rule));
+    let count = rows.len() as f64;
+    let place = |k: usize| count - k as f64 - 0.5;
+    let names = rows.iter().enumerate().map(|(k, row)| (place(k), row.name.clone())).collect();
+    let word = String::new();
+    let mut layers: Vec<Layer> = rule.map(|at| Layer::VerticalRule { at, label: word }).into_iter().collect();
+    for (k, row) in rows.iter().enumerate() {
+        let mut points = |class, marker, at: f64| {
+            layers.push(Layer::Points { class, marker, at: vec![[at, place(k)]], titles: Vec::new() });
+        };
+        points(row.class, Marker::Diamond, row.value);
+        if let Some(other) = row.other {
+            points("quiet", Marker::Cross, other);
+        }
+        let ends = row.interval.map(|ends| ends.map(|v| [x.clamp(v), place(k)]));
+        layers.push(Layer::Line { class: row.class, at: ends.into_iter().flatten().collect() });
     }
+    Plot {
+        title: title.into(),
+        description: description.into(),
+        width: 520.0,
+        height: 64.0 + 26.0 * count,
+        x,
+        y: Axis::fixed("", 0.0, count).with_ticks(names),
+        layers,
+    }
+    .svg()
+}
+
+/// Errors of one quantity; none where no model has a positive one.
+fn chart(quantity: &Quantity, models: &[Model<'_>]) -> Option<String> {
+    let row = |model: &Model<'_>| {
+        let (value, interval) = quantity.of(model.error);
+        let value = value.filter(|v| *v > 0.0 && v.is_finite())?;
+        Some(Row { name: model.name.clone(), class: model.class, value, interval, other: None })
+    };
+    let rows: Vec<Row> = models.iter().filter_map(row).collect();
     if rows.is_empty() {
         return None;
     }
     let label = if quantity.unit.is_empty() { "error".into() } else { format!("error ({})", quantity.unit) };
+    let description = format!("Held-out error of the {} for every model, and the noise floor", quantity.name);
     let floor = quantity.floor.filter(|f| *f > 0.0);
-    let chart = RowChart {
-        title: capitalised(&quantity.name),
-        description: format!("Held-out error of the {} for every model, and the noise floor", quantity.name),
-        axis: Axis::log_covering(label, reach),
-        rows,
-        rules: floor.map(|f| (f, "noise floor".into())).into_iter().collect(),
-    };
-    Some(chart.svg())
+    Some(rows_chart(&capitalised(&quantity.name), &description, &label, &rows, floor))
 }
 
 /// First letter in upper case.
@@ -278,47 +306,37 @@ fn capitalised(name: &str) -> String {
     letters.next().map_or(String::new(), |c| c.to_uppercase().chain(letters).collect())
 }
 
+/// Characters of a session's name that leave the picture its room; the table has all.
+const NAME: usize = 32;
+
 /// Every session's error after over its error before, in one picture: sessions of any unit side by side.
 pub(crate) fn overview_figure(entries: &[IndexEntry]) -> String {
-    let mut rows = Vec::new();
-    let mut reach = vec![1.0];
-    for entry in entries {
-        let Some(key) = summary_key(&entry.verify) else { continue };
+    let row = |entry: &IndexEntry| {
+        let key = summary_key(&entry.verify)?;
         let of = |error: &Option<HeldOutError>| error.as_ref()?.rmse.get(key).copied();
-        let (Some(before), Some(after)) = (of(&entry.verify.before), of(&entry.verify.after)) else {
-            continue;
-        };
-        let share = after / before;
-        if !(share > 0.0 && share.is_finite()) {
-            continue;
-        }
-        let (_, unit, floor) = describe(key, &entry.verify.noise_floor, &entry.response_unit);
-        let floor = floor.map(|f| f / before).filter(|f| *f > 0.0 && f.is_finite());
-        reach.extend(floor.into_iter().chain([share]));
-        let mark = if entry.verify.simulated { " (SIMULATED)" } else { "" };
-        rows.push(RowItem {
-            label: format!("{}{mark}", entry.title),
-            value: format!("{} → {}", number(before), join_unit(&number(after), &unit)),
-            class: if entry.verify.simulated { "s4" } else { "s1" },
-            mark: Mark::Change { to: share, from: 1.0, floor },
-        });
-    }
+        let (before, after) = (of(&entry.verify.before)?, of(&entry.verify.after)?);
+        let within = |share: &f64| *share > 0.0 && share.is_finite();
+        let value = Some(after / before).filter(within)?;
+        let floor = describe(key, &entry.verify.noise_floor, &entry.response_unit).2;
+        let (mark, class) = if entry.verify.simulated { (" (SIMULATED)", "s4") } else { ("", "s1") };
+        Some(Row {
+            name: format!("{}{mark}", entry.title.chars().take(NAME).collect::<String>()),
+            class,
+            value,
+            interval: Some([value, 1.0]),
+            other: floor.map(|f| f / before).filter(within),
+        })
+    };
+    let rows: Vec<Row> = entries.iter().filter_map(row).collect();
     if rows.is_empty() {
         return String::new();
     }
-    let chart = RowChart {
-        title: "Held-out error, after over before".into(),
-        description:
-            "Ratio of the held-out error of the model after to that of the declared model, for every session"
-                .into(),
-        axis: Axis::log_covering("error ÷ the declared model's error", reach),
-        rows,
-        rules: vec![(1.0, "declared model".into())],
-    };
+    let description =
+        "Ratio of the held-out error of the model after to that of the declared model, for every session";
     format!(
         "<figure class=\"forest\"><div class=\"charts\">{}</div><figcaption>{}</figcaption></figure>\n",
-        chart.svg(),
-        "Dot: the model after, as a share of the declared model's held-out error. Vertical tick: the noise floor, where it is known."
+        rows_chart("After over before", description, "error ÷ the declared model's error", &rows, Some(1.0)),
+        "Diamond: the model after, as a share of the declared model's held-out error (vertical line). Cross: the noise floor, where it is known."
     )
 }
 

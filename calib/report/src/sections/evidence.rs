@@ -1,28 +1,18 @@
-//! Evidence: gate, candidates, ambiguity picture, smallest detectable sizes.
+//! Evidence: gate, explanations, what the pictures say, smallest detectable sizes.
 
-use super::{absent, figure};
+use super::absent;
 use crate::input::{EvidenceRow, ReportInput};
 use crate::markup::{Table, TableCell};
-use crate::number::{join_unit, number, p_value, quantity, split_unit, unit_text, with_interval};
-use crate::plot::{Axis, Mark, RowChart, RowItem};
+use crate::number::{number, p_value, quantity, unit_text};
 
-/// Gate, candidates and ambiguity.
+/// Gate, explanations and pictures.
 pub(super) fn body(input: &ReportInput) -> String {
-    let mut out = steps(input) + &gate(input);
+    let mut out = gate(input);
     match input.evidence.as_slice() {
         [] => out += &absent("No candidate was tested in this run."),
-        rows => out += &candidates(rows),
+        rows => out += &explanations(rows),
     }
-    out += &pictures(input);
-    out + &ambiguity(input)
-}
-
-fn steps(input: &ReportInput) -> String {
-    let mut table = Table::new("How the verdict was reached", &["stage", "outcome"]);
-    for step in &input.steps {
-        table.row(vec![TableCell::Text(step.name.clone()), TableCell::Text(step.value.clone())]);
-    }
-    if table.is_empty() { String::new() } else { table.html() }
+    out + &pictures(input)
 }
 
 fn gate(input: &ReportInput) -> String {
@@ -39,82 +29,31 @@ fn gate(input: &ReportInput) -> String {
     if table.is_empty() { String::new() } else { table.html() }
 }
 
-fn status_class(status: &str) -> &'static str {
-    match status {
-        "accepted" | "best" => "named",
-        "survives" => "open",
-        "at bound" | "out of range" => "bad",
-        _ => "plain",
-    }
-}
-
-fn candidates(rows: &[EvidenceRow]) -> String {
+fn explanations(rows: &[EvidenceRow]) -> String {
     let mut table = Table::new(
-        "Candidates, best first",
-        &[
-            "effect",
-            "status",
-            "law",
-            "parameters [95 %]",
-            "#chi-square gain",
-            "#p, adjusted",
-            "#ln L − ln L best",
-            "why",
-        ],
+        "Explanations, best first",
+        &["effects", "status", "law", "#chi-square gain", "#ln L − ln L best", "#p, bootstrap"],
     );
     for row in rows {
-        let parameter = |p: &wcal_core::verify_document::EffectParameter| {
-            let (value, interval) = with_interval(p.value, p.interval95);
-            format!("{} = {}", split_unit(&p.name).0, join_unit(&format!("{value} {interval}"), &p.unit))
+        let status = match (row.log_likelihood_ratio >= 0.0, row.survives) {
+            (true, _) => TableCell::Badge("named", "best".into()),
+            (false, true) => TableCell::Badge("open", "survives".into()),
+            (false, false) => TableCell::Badge("plain", "rejected".into()),
         };
-        let parameters: Vec<String> = row.parameters.iter().map(parameter).collect();
-        let gain = row.chi2_gain.map_or(TableCell::Number("–".into()), |gain| {
-            TableCell::NumberWithNotes(number(gain), vec![format!("for {}", row.degrees_of_freedom)])
-        });
+        let parameters = vec![format!("for {}", row.degrees_of_freedom)];
         table.row(vec![
-            TableCell::Code(row.id.clone()),
-            TableCell::Badge(status_class(&row.status), row.status.clone()),
+            TableCell::Code(match row.effects.as_slice() {
+                [] => "declared model alone".into(),
+                some => some.join(" + "),
+            }),
+            status,
             TableCell::Text(row.law.clone()),
-            TableCell::Text(parameters.join("; ")),
-            gain,
-            TableCell::Number(row.p_adjusted.map_or("–".into(), p_value)),
-            TableCell::Number(row.log_likelihood_ratio.map_or("–".into(), number)),
-            TableCell::Text(row.why.clone()),
+            TableCell::NumberWithNotes(number(row.chi2_gain), parameters),
+            TableCell::Number(number(row.log_likelihood_ratio)),
+            TableCell::Number(p_value(row.p_value)),
         ]);
     }
     table.html()
-}
-
-fn ambiguity(input: &ReportInput) -> String {
-    if input.explanations.is_empty() {
-        return String::new();
-    }
-    let row = |e: &crate::input::Explanation| {
-        let name = if e.effects.is_empty() { "declared model alone".into() } else { e.effects.join(" + ") };
-        let p = e.p_value.map_or(String::new(), |p| format!(", p {}", p_value(p)));
-        let word = if e.survives { "survives" } else { "rejected" };
-        RowItem {
-            label: name,
-            value: format!("{}{p}, {word}", number(e.log_likelihood_ratio)),
-            class: if e.survives { "s1" } else { "out" },
-            mark: Mark::Bar(e.log_likelihood_ratio.abs()),
-        }
-    };
-    let finite = input.explanations.iter().map(|e| e.log_likelihood_ratio.abs()).filter(|v| v.is_finite());
-    let high = finite.fold(1.0, f64::max);
-    let chart = RowChart {
-        title: "How much worse than the best explanation".into(),
-        description: "Log likelihood ratio of every refitted explanation to the best one".into(),
-        axis: Axis::fixed("ln L of the best − ln L (0 = the best)", 0.0, 1.04 * high),
-        rows: input.explanations.iter().map(row).collect(),
-        rules: Vec::new(),
-    };
-    figure(
-        input.verify.simulated,
-        "forest",
-        &chart.svg(),
-        "Ambiguity picture: a short bar explains the data nearly as well as the best. Solid: survives the bootstrap; dashed outline: rejected.",
-    )
 }
 
 /// What the pictures say in addition to the wavelengths; empty without them.

@@ -30,7 +30,7 @@ pub(super) fn body(input: &ReportInput) -> String {
             None => String::new(),
         };
         out += &format!(
-            "<div class=\"card\"><h5>Unknown effect</h5><p>What is left follows <strong>{}</strong> as a {} shape{}. All covariates, strongest first: {}.</p>{}</div>",
+            "<div class=\"card\"><h3>Unknown effect</h3><p>What is left follows <strong>{}</strong> as a {} shape{}. All covariates, strongest first: {}.</p>{}</div>",
             escape(&residuals::label_of(&unknown.driver)),
             escape(&unknown.shape),
             escape(&period),
@@ -50,7 +50,7 @@ pub(super) fn body(input: &ReportInput) -> String {
 }
 
 fn one_effect(effect: &NamedEffect) -> String {
-    let mut out = format!("<div class=\"card\"><h5><code>{}</code></h5>", escape(&effect.id));
+    let mut out = format!("<div class=\"card\"><h3><code>{}</code></h3>", escape(&effect.id));
     if !effect.sentence.is_empty() {
         out += &paragraph(&effect.sentence);
     }
@@ -121,11 +121,11 @@ fn ambiguity(input: &ReportInput) -> String {
         (Verdict::Ambiguous, _) => "Competing explanations, best first:",
         _ => "Explanations that survive, best first:",
     };
-    format!("<div class=\"card\"><h5>Competing explanations</h5><p>{lead}</p><ol>{rows}</ol></div>")
+    format!("<div class=\"card\"><h3>Competing explanations</h3><p>{lead}</p><ol>{rows}</ol></div>")
 }
 
 fn next_measurement(next: &NextMeasurement) -> String {
-    let mut out = format!("<div class=\"card\"><h5>Next measurement</h5>{}", paragraph(&next.instruction));
+    let mut out = format!("<div class=\"card\"><h3>Next measurement</h3>{}", paragraph(&next.instruction));
     if !next.separates.is_empty() {
         out += &format!(
             "<p>Separates <code>{}</code>; expected to decide with probability <strong>{}</strong>.</p>",

@@ -37,10 +37,8 @@ pub(crate) fn all(input: &ReportInput) -> Vec<Section> {
             body: calibration::body(judged),
         });
     }
-    // Only labels of an outside twin can be checked; without any, the rod's own branches are shown.
     if !input.twin.is_empty() || !input.verify.twin.faults.is_empty() {
-        let title = if twin::has_labels(input) { "Twin check" } else { "The rod along each trajectory" };
-        sections.push(Section { id: "twin", title, body: twin::body(input) });
+        sections.push(Section { id: "twin", title: "Twin check", body: twin::body(input) });
     }
     sections.push(Section { id: "residuals", title: "Residuals", body: residuals::body(input) });
     sections.push(Section { id: "evidence", title: "Evidence", body: evidence::body(input) });
@@ -74,13 +72,13 @@ fn absent(what: &str) -> String {
 }
 
 /// Class and marker of the n-th channel; past the fourth, colours come back with another shape.
-pub(crate) fn series(n: usize) -> (&'static str, crate::plot::Marker) {
+pub fn series(n: usize) -> (&'static str, crate::plot::Marker) {
     use crate::plot::Marker::{Circle, Diamond, Square, Triangle};
     (["s1", "s2", "s3", "s4"][n % 4], [Circle, Square, Diamond, Triangle][(n + n / 4) % 4])
 }
 
 /// Key of colours and shapes.
-pub(crate) fn legend(names: &[String]) -> String {
+pub fn legend(names: &[impl AsRef<str>]) -> String {
     const SHAPES: [&str; 4] = ["●", "■", "◆", "▲"];
     let items: String = names
         .iter()
@@ -90,7 +88,7 @@ pub(crate) fn legend(names: &[String]) -> String {
             format!(
                 "<li><span class=\"key {class}\">{}</span> {}</li>",
                 SHAPES[(k + k / 4) % 4],
-                escape(name)
+                escape(name.as_ref())
             )
         })
         .collect();

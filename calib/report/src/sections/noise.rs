@@ -40,7 +40,7 @@ pub(super) fn body(input: &ReportInput) -> String {
     }
     match input.verify.notes.as_slice() {
         [] => out += &super::absent("No remarks."),
-        notes => out += &format!("<div class=\"card warn\"><h5>Remarks</h5>{}</div>", list(notes)),
+        notes => out += &format!("<div class=\"card warn\"><h3>Remarks</h3>{}</div>", list(notes)),
     }
     out
 }

@@ -1,21 +1,22 @@
 //! Twin check: moments along each trajectory, the rod's branches as lines and the outside labels as markers.
 
 use super::{absent, figure, legend, series};
-use crate::input::{ReportInput, TwinTrajectory};
+use crate::input::{MOMENT_NAMES, ReportInput, TwinMark, TwinTrajectory};
 use crate::markup::{Table, TableCell};
 use crate::number::number;
 use crate::plot::{Axis, Layer, Marker, Plot};
-use std::collections::HashMap;
 
-/// The section.
+/// The section: only labels of an outside twin can be checked.
 pub(super) fn body(input: &ReportInput) -> String {
     let faults = &input.verify.twin.faults;
+    if faults.is_empty() && input.twin.iter().all(|t| t.labels.is_empty()) {
+        return absent(
+            "The session has no labels of an outside twin (twin.csv): there was nothing to check.",
+        );
+    }
     let mut out = String::new();
-    if faults.is_empty() && has_labels(input) {
+    if faults.is_empty() {
         out += "<p>No fault was found in the twin's labels.</p>";
-    } else if faults.is_empty() {
-        out +=
-            &absent("The session has no labels of an outside twin (twin.csv): there was nothing to check.");
     } else {
         let mut table = Table::new("Faulty labels of the twin", &["kind", "points", "what is wrong"]);
         for fault in faults {
@@ -31,66 +32,38 @@ pub(super) fn body(input: &ReportInput) -> String {
     if input.twin.is_empty() {
         return out + &absent("No comparison along trajectories was handed to this report.");
     }
-    // Faults may be given in the document only; the picture marks them all the same.
-    let kinds: HashMap<i64, &str> =
-        faults.iter().flat_map(|f| f.points.iter().map(move |p| (*p, f.kind.as_str()))).collect();
-    out += &legend(&input.moment_names);
-    let charts: String = input.twin.iter().map(|t| chart(input, t, &kinds)).collect();
-    out + &figure(
-        input.verify.simulated,
-        "many",
-        &charts,
-        match has_labels(input) {
-            true => {
-                "Base moment against stage position. Lines: equilibrium branches of wcal's own rod; markers: labels of the outside twin; rings with a word: labels on another branch, or of a wire that left the groove. Every chart has its own scale."
-            }
-            false => {
-                "Base moment against stage position: equilibrium branches of wcal's own rod. Every chart has its own scale."
-            }
-        },
-    )
+    out += &legend(&MOMENT_NAMES);
+    let charts: String = input.twin.iter().map(|t| chart(input, t)).collect();
+    let caption = "Base moment against stage position. Lines: equilibria of wcal's own rod; markers: labels of the outside twin; rings with a word: labels on another branch, or of a wire that left the groove. Every chart has its own scale.";
+    out + &figure(input.verify.simulated, "many", &charts, caption)
 }
 
-/// Whether an outside twin's labels were there to be checked.
-pub(super) fn has_labels(input: &ReportInput) -> bool {
-    input.twin.iter().any(|t| !t.labels.is_empty()) || !input.verify.twin.faults.is_empty()
+/// Kind of a label's fault; one of unit or discretisation is of all labels, and the table says so.
+fn fault<'a>(input: &'a ReportInput, label: &TwinMark) -> Option<&'a str> {
+    let single = |kind: &str| !matches!(kind, "unit" | "discretisation");
+    let mut faults = input.verify.twin.faults.iter().filter(|f| single(&f.kind));
+    faults.find(|f| f.points.contains(&label.point)).map(|f| f.kind.as_str())
 }
 
-/// A fault of single labels is ringed; one of unit or discretisation is of all labels, and the table says so.
-fn of_single_labels(kind: &str) -> bool {
-    !matches!(kind, "unit" | "discretisation")
-}
-
-fn chart(input: &ReportInput, trajectory: &TwinTrajectory, kinds: &HashMap<i64, &str>) -> String {
-    let stages = trajectory.branches.iter().flat_map(|b| b.stage_mm.iter().copied());
-    let stages = stages.chain(trajectory.labels.iter().map(|l| l.stage_mm));
-    let moments = trajectory.branches.iter().flat_map(|b| b.moment_nmm.iter().flatten().copied());
+fn chart(input: &ReportInput, trajectory: &TwinTrajectory) -> String {
+    let stages = trajectory.stage_mm.iter().copied().chain(trajectory.labels.iter().map(|l| l.stage_mm));
+    let moments = trajectory.moment_nmm.iter().flatten().copied();
     let moments = moments.chain(trajectory.labels.iter().flat_map(|l| l.moment_nmm));
-    let mut layers: Vec<Layer> =
-        trajectory.snaps_mm.iter().map(|at| Layer::VerticalRule { at: *at, label: "snap".into() }).collect();
-    layers.push(Layer::HorizontalRule { at: 0.0 });
-    for k in 0..2 {
+    let mut layers = vec![Layer::HorizontalRule { at: 0.0 }];
+    for (k, name) in MOMENT_NAMES.iter().enumerate() {
         let (class, marker) = series(k);
-        for branch in &trajectory.branches {
-            let at = branch.stage_mm.iter().zip(&branch.moment_nmm).map(|(s, m)| [*s, m[k]]).collect();
-            layers.push(Layer::Line { class, at });
-        }
+        let at = trajectory.stage_mm.iter().zip(&trajectory.moment_nmm).map(|(s, m)| [*s, m[k]]).collect();
+        layers.push(Layer::Line { class, at });
         let at: Vec<_> = trajectory.labels.iter().map(|l| [l.stage_mm, l.moment_nmm[k]]).collect();
-        let hover = |l: &crate::input::TwinMark| {
+        let hover = |l: &TwinMark| {
             let [value, stage] = [number(l.moment_nmm[k]), number(l.stage_mm)];
-            let fault = l.fault.as_deref().or(kinds.get(&l.point).copied());
-            let word = fault.map_or(String::new(), |kind| format!(", {kind}"));
-            format!("point {}: {} {value} N mm at {stage} mm{word}", l.point, input.moment_names[k])
+            let word = fault(input, l).map_or(String::new(), |kind| format!(", {kind}"));
+            format!("point {}: {name} {value} N mm at {stage} mm{word}", l.point)
         };
         let titles = trajectory.labels.iter().map(hover).collect();
         layers.push(Layer::Points { class, marker, at, titles });
     }
-    let bad: Vec<_> = trajectory
-        .labels
-        .iter()
-        .filter_map(|l| Some((l, l.fault.as_deref().or(kinds.get(&l.point).copied())?)))
-        .filter(|(_, kind)| of_single_labels(kind))
-        .collect();
+    let bad: Vec<_> = trajectory.labels.iter().filter_map(|l| Some((l, fault(input, l)?))).collect();
     let rings = bad.iter().flat_map(|(l, _)| l.moment_nmm.map(|m| [l.stage_mm, m])).collect();
     layers.push(Layer::Points { class: "bad", marker: Marker::Ring, at: rings, titles: Vec::new() });
     let mut words: Vec<&str> = bad.iter().map(|b| b.1).collect();

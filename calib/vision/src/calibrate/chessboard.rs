@@ -4,8 +4,8 @@
 //! middles: alternating contrast there, compared with that inside, means a larger board than stated.
 
 use crate::calibrate::corner::{Corner, fit_corner};
-use crate::calibrate::homography::homography;
 use crate::error::{OpenCvContext, VisionError};
+use crate::homography::homography;
 use crate::picture::Picture;
 use nalgebra::Vector2;
 use opencv::calib3d;

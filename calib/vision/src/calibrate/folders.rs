@@ -1,18 +1,14 @@
 //! `stereo-calibrate` from two folders: pictures, corners, the solve, the document.
 
-use crate::calibrate::alternatives::{Alternative, alternatives};
-use crate::calibrate::board::{Board, Pattern, board_points};
-use crate::calibrate::document::{
-    BoardDocument, RejectedView, STEREO_FORMAT, StereoDocument, camera_document,
-};
-use crate::calibrate::markers::{MarkerBoard, grid_places};
-use crate::calibrate::noise::CornerNoise;
+use crate::calibrate::board::{Board, Pattern};
+use crate::calibrate::document::{BoardDocument, STEREO_FORMAT, StereoDocument, camera_document};
+use crate::calibrate::markers::BoardLayout;
 use crate::calibrate::solution::{StereoSolution, leave_one_out};
-use crate::calibrate::statements::{BoardStatement, Others, calibrate_as_stated};
-use crate::calibrate::views::{MarkerPairs, marker_pairs, usable, whole_board, with_rejections};
+use crate::calibrate::statements::calibrate_as_stated;
+use crate::calibrate::views::{BoardPairs, board_pairs, with_rejections};
 use crate::camera::lens::Lens;
 use crate::error::VisionError;
-use crate::pairs::{PairFiles, list_pictures, pair_files};
+use crate::pairs::{list_pictures, pair_files};
 use crate::rigid::rows;
 use nalgebra::{Vector2, Vector3};
 
@@ -29,20 +25,24 @@ pub fn calibrate_folders(
 ) -> Result<(StereoDocument, StereoSolution), VisionError> {
     let files = pair_files(&list_pictures(left)?, &list_pictures(right)?)?;
     progress(&format!("{} pairs", files.len()));
-    let mut found = match MarkerBoard::new(board)? {
-        None => chessboard(&files, board)?,
-        Some(markers) => marker_board(&files, &markers)?,
+    let layout = BoardLayout::new(board)?;
+    let BoardPairs { size, views, rejected, mut remarks, marker_share } = board_pairs(&files, &layout);
+    remarks.extend(layout.contradicts(marker_share));
+    let Some(image_size) = size else {
+        let none = VisionError::result("calibrate two cameras", "pictures", "none");
+        return Err(with_rejections(views.err().unwrap_or(none), &rejected));
     };
-    let solving = found.stated.views.as_ref().map_or(0, Vec::len);
-    progress(&format!("{solving} pairs show the board; solving"));
-    let points = found.stated.points.clone();
+    progress(&format!("{} pairs show the board; solving", views.as_ref().map_or(0, Vec::len)));
+    let enough = views.is_ok();
     let (mut solution, noise) =
-        calibrate_as_stated(found.stated, (found.image_size, lens), &*found.others)
-            .map_err(|e| with_rejections(alike_after_half_a_turn(e, board), &found.rejected))?;
-    solution.warnings.append(&mut found.remarks);
-    let mut document = document(board, found.image_size, &points, &solution);
+        calibrate_as_stated(&files, &layout, views, image_size, lens).map_err(|e| {
+            let e = if enough { alike_after_half_a_turn(e, board) } else { e };
+            with_rejections(e, &rejected)
+        })?;
+    solution.warnings.append(&mut remarks);
+    let mut document = document(board, image_size, &layout.points, &solution);
     document.corner_noise_px = noise.rms_px.is_finite().then_some(noise.rms_px);
-    document.rejected_views.splice(0..0, found.rejected);
+    document.rejected_views.splice(0..0, rejected);
     Ok((document, solution))
 }
 
@@ -60,71 +60,6 @@ fn alike_after_half_a_turn(error: VisionError, board: &Board) -> VisionError {
         }
         other => other,
     }
-}
-
-/// What the pictures show of the stated board, and how to ask for another one.
-struct BoardSearch<'a> {
-    stated: BoardStatement,
-    image_size: [usize; 2],
-    rejected: Vec<RejectedView>,
-    remarks: Vec<String>,
-    others: Box<Others<'a>>,
-}
-
-fn chessboard<'a>(files: &'a [PairFiles], board: &'a Board) -> Result<BoardSearch<'a>, VisionError> {
-    let mut rejected = Vec::new();
-    let (views, image_size) = usable(files, &mut rejected, &|p, i| whole_board(p, board.size, i))?;
-    // A plain chessboard has its squares and nothing else to be wrong, but the print.
-    Ok(BoardSearch {
-        stated: BoardStatement {
-            says: String::new(),
-            points: board_points(board.size.columns, board.size.rows, board.square_mm),
-            places: grid_places(board.size),
-            views: Ok(views.iter().map(|v| v.refined(board.size)).collect()),
-        },
-        image_size,
-        rejected,
-        remarks: Vec::new(),
-        others: Box::new(|_| Vec::new()),
-    })
-}
-
-fn marker_board<'a>(files: &'a [PairFiles], markers: &MarkerBoard) -> Result<BoardSearch<'a>, VisionError> {
-    let MarkerPairs { size, views, rejected, mut remarks, marker_share } = marker_pairs(files, markers);
-    remarks.extend(markers.contradicts(marker_share));
-    let Some(image_size) = size else {
-        return Err(views.err().map_or_else(
-            || VisionError::result("calibrate two cameras", "pictures", "none"),
-            |e| with_rejections(e, &rejected),
-        ));
-    };
-    let (own, seen) = (markers.clone(), views.as_ref().ok().cloned());
-    let others = move |noise: &CornerNoise| {
-        let statement = |other: Alternative| {
-            // Tags are read without their places, markers' corners with them.
-            let views = match &seen {
-                Some(seen) if own.corners_by_number() => Ok(seen.clone()),
-                _ => marker_pairs(files, &other.board).views,
-            };
-            BoardStatement { says: other.says, points: other.board.points, places: other.board.places, views }
-        };
-        if own.corners_by_number() && seen.is_none() {
-            return Vec::new();
-        }
-        alternatives(&own, noise).into_iter().map(statement).collect()
-    };
-    Ok(BoardSearch {
-        stated: BoardStatement {
-            says: String::new(),
-            points: markers.points.clone(),
-            places: markers.places.clone(),
-            views,
-        },
-        image_size,
-        rejected,
-        remarks,
-        others: Box::new(others),
-    })
 }
 
 fn document(

@@ -16,16 +16,12 @@ fn bracketed(name: &str, text: &str, key: &str, count: usize) -> Result<Vec<f64>
     let missing = |found: &str| {
         VisionError::content(name, format!("{key} with {count} numbers in brackets"), found.to_string())
     };
-    let start = text
-        .lines()
-        .scan(0, |at, line| {
-            let here = *at;
-            *at += line.len() + 1;
-            Some((here, line))
-        })
-        .find(|(_, line)| line.trim_start().trim_start_matches("- ").starts_with(&format!("{key}:")))
-        .map(|(at, _)| at)
-        .ok_or_else(|| missing("no such key"))?;
+    let own_line = |(at, _): &(usize, &str)| {
+        let line = text[..*at].rfind('\n').map_or(0, |end| end + 1);
+        matches!(text[line..*at].trim(), "" | "-")
+    };
+    let found = text.match_indices(&format!("{key}:")).find(own_line);
+    let (start, _) = found.ok_or_else(|| missing("no such key"))?;
     let rest = &text[start..];
     let open = rest.find('[').ok_or_else(|| missing("no bracket"))?;
     let close = rest[open..].find(']').ok_or_else(|| missing("no closing bracket"))? + open;
@@ -154,15 +150,16 @@ pub fn import_opencv(name: &str, text: &str) -> Result<StereoDocument, VisionErr
         Ok(ImportedCamera { pinhole: [m[0], m[4], m[2], m[5]], lens, coefficients })
     };
     let (r, t) = (bracketed(name, text, "R", 9)?, bracketed(name, text, "T", 3)?);
-    let pose = std::array::from_fn(|i| {
-        std::array::from_fn(|j| match (i, j) {
-            (3, j) => f64::from(u8::from(j == 3)),
-            (i, 3) => t[i],
-            (i, j) => r[3 * i + j],
-        })
-    });
+    let pose = pose_rows(&Matrix3::from_row_slice(&r), &Vector3::from_row_slice(&t));
     let size = [scalar(name, text, "image_width")?, scalar(name, text, "image_height")?];
     imported(name, size, [camera(1)?, camera(2)?], pose)
+}
+
+/// The 4x4 rows of a turn, as it was stated, and a shift.
+fn pose_rows(r: &Matrix3<f64>, t: &Vector3<f64>) -> [[f64; 4]; 4] {
+    let mut m = r.to_homogeneous();
+    m.fixed_view_mut::<3, 1>(0, 3).copy_from(t);
+    std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)]))
 }
 
 /// Reads a Kalibr camchain with two pinhole cameras, both radtan or both equidistant (metres).
@@ -245,13 +242,7 @@ pub fn import_ros(name: &str, texts: [&str; 2]) -> Result<StereoDocument, Vision
         return Err(VisionError::content(name, "a right projection_matrix with a baseline", "none"));
     }
     let (r, t) = (rotations[1].transpose() * rotations[0], rotations[1].transpose() * baseline_mm);
-    let pose = std::array::from_fn(|i| {
-        std::array::from_fn(|j| match (i, j) {
-            (3, j) => f64::from(u8::from(j == 3)),
-            (i, 3) => t[i],
-            (i, j) => r[(i, j)],
-        })
-    });
+    let pose = pose_rows(&r, &t);
     let [right, left] = [cameras.pop(), cameras.pop()];
     let cameras = left.zip(right).ok_or_else(|| VisionError::content(name, "two cameras", "fewer"))?;
     imported(name, sizes[0], cameras.into(), pose)

@@ -12,7 +12,6 @@ pub mod corner;
 pub mod document;
 pub mod export;
 pub mod folders;
-mod homography;
 pub mod import;
 pub(crate) mod initial;
 pub mod markers;

@@ -7,11 +7,15 @@
 //! ```
 //! Pictures know no length: a factor common to all sizes changes no residual, and the baseline follows it.
 
+use crate::calibrate::alternatives::alternatives;
 use crate::calibrate::bundle::{BoardView, Free, solve};
-use crate::calibrate::noise::{CornerNoise, GridPlace, corner_noise};
+use crate::calibrate::markers::BoardLayout;
+use crate::calibrate::noise::{CornerNoise, corner_noise};
 use crate::calibrate::solution::{StereoSolution, calibrate_stereo};
+use crate::calibrate::views::board_pairs;
 use crate::camera::lens::Lens;
 use crate::error::VisionError;
+use crate::pairs::PairFiles;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -29,85 +33,93 @@ const NOT_SQUARE: f64 = 0.004;
 /// Change of chi2 that decides between two prints.
 const DECIDED: f64 = 16.0;
 
-/// A board and what the pictures show of it.
-pub(crate) struct BoardStatement {
-    /// Completes "with ... RMS is".
-    pub says: String,
-    pub points: Vec<Vector3<f64>>,
-    pub places: Vec<GridPlace>,
-    /// Views with its corners, or why there are none.
-    pub views: Result<Vec<BoardView>, VisionError>,
-}
-
-/// Other statements about a board, once its corners' noise is known.
-pub(crate) type Others<'a> = dyn Fn(&CornerNoise) -> Vec<BoardStatement> + 'a;
-
-/// Size of the pictures and model of the lenses.
-pub(crate) type Optics = ([usize; 2], &'static dyn Lens);
-
-/// Solves with the stated board. Where it does not fit, the statement that does is named: in a warning, or in the error of a solve that failed.
+/// Solves for a stated board that pairs of pictures show. Where it does not fit, the statement that does is named: in a warning, or in the error
+/// of a solve that failed.
 ///
 /// # Errors
 /// As `calibrate_stereo`.
 pub(crate) fn calibrate_as_stated(
-    stated: BoardStatement,
-    (image_size, lens): Optics,
-    others: &Others<'_>,
+    files: &[PairFiles],
+    stated: &BoardLayout,
+    views: Result<Vec<BoardView>, VisionError>,
+    image_size: [usize; 2],
+    lens: &'static dyn Lens,
 ) -> Result<(StereoSolution, CornerNoise), VisionError> {
-    let BoardStatement { points, places, views, .. } = stated;
+    let points = &stated.points;
     let seen = views.as_ref().map_or_else(|_| Vec::new(), Clone::clone);
-    let outcome = views.and_then(|v| calibrate_stereo(&points, v, image_size, lens));
-    let noise = corner_noise(&places, outcome.as_ref().map_or(&seen, |s| &s.views));
+    let outcome = views.and_then(|v| calibrate_stereo(points, v, image_size, lens));
+    let noise = corner_noise(&stated.places, outcome.as_ref().map_or(&seen, |s| &s.views));
     let asked = match &outcome {
         Ok(solution) => solution.bundle.rms_px() > ASKED * noise.rms_px || noise.rms_px > NO_GRID_PX,
         Err(_) => true,
     };
     if !asked {
         return outcome.map(|mut solution| {
-            solution.warnings.extend(not_square(&points, &solution));
+            solution.warnings.extend(not_square(points, &solution));
             (solution, noise)
         });
     }
-    let excess = |rms: f64, noise: f64| (rms * rms - noise * noise).max(0.0);
-    let stated = outcome.as_ref().map_or(f64::INFINITY, |s| s.bundle.rms_px());
-    let mut fitting: Vec<(f64, f64, String)> = others(&noise)
+    let stated_rms = outcome.as_ref().map_or(f64::INFINITY, |s| s.bundle.rms_px());
+    let mut fitting: Vec<Other> = alternatives(stated, &noise)
         .into_par_iter()
-        .filter_map(|other| {
-            let solution = calibrate_stereo(&other.points, other.views.ok()?, image_size, lens).ok()?;
-            let own = corner_noise(&other.places, &solution.views).rms_px;
-            Some((solution.bundle.rms_px(), own, other.says))
+        .filter_map(|(says, board)| {
+            // Tags are read without their places, markers' corners with them.
+            let views = match stated.corners_by_number() {
+                true => seen.clone(),
+                false => board_pairs(files, &board).views.ok()?,
+            };
+            let solution = calibrate_stereo(&board.points, views, image_size, lens).ok()?;
+            let noise_px = corner_noise(&board.places, &solution.views).rms_px;
+            Some(Other { rms_px: solution.bundle.rms_px(), noise_px, says })
         })
         .collect();
     if let Ok(solution) = &outcome {
-        let (stretch, rms) = stretched(&points, solution);
-        fitting.push((rms, noise.rms_px, print_stretched(stretch)));
+        let (stretch, rms_px) = stretched(points, solution);
+        fitting.push(Other { rms_px, noise_px: noise.rms_px, says: print_stretched(stretch) });
     }
-    fitting.retain(|(rms, own, _)| {
-        *rms < MISFIT * own && *own < NO_GRID_PX && excess(*rms, *own) < LEFT_OVER * excess(stated, *own)
-    });
+    fitting.retain(|o| o.fits(stated_rms));
     // Among statements that fit alike the first one: a plain mistake before a number that is free.
-    let least = fitting.iter().map(|f| f.0).fold(f64::INFINITY, f64::min);
-    let found = fitting.into_iter().find(|f| f.0 < 1.05 * least);
-    match (outcome, found) {
-        (Ok(mut solution), found) => {
+    let least = fitting.iter().map(|f| f.rms_px).fold(f64::INFINITY, f64::min);
+    let found = fitting.into_iter().find(|f| f.rms_px < 1.05 * least);
+    let better = found.map(|o| format!("With {} RMS is {:.3} px", o.says, o.rms_px));
+    match (outcome, better) {
+        (Ok(mut solution), better) => {
             let beside = format!(
-                "the stated board does not fit: RMS {stated:.3} px where the corners' own noise is {:.3} px",
+                "the stated board does not fit: RMS {stated_rms:.3} px where the corners' own noise is {:.3} px",
                 noise.rms_px
             );
-            solution.warnings.extend(match found {
-                Some((rms, _, says)) => Some(format!("{beside}. With {says} RMS is {rms:.3} px")),
-                None if stated > MISFIT * noise.rms_px => Some(format!(
+            solution.warnings.extend(match better {
+                Some(better) => Some(format!("{beside}. {better}")),
+                None if stated_rms > MISFIT * noise.rms_px => Some(format!(
                     "{beside}, and no other statement about it does (bent, moved while pictured, another lens model?)"
                 )),
-                None => not_square(&points, &solution),
+                None => not_square(points, &solution),
             });
             Ok((solution, noise))
         }
-        (Err(VisionError::Result { action, expected, found }), Some((rms, _, says))) => {
-            let found = format!("{found}. The stated board does not fit. With {says} RMS is {rms:.3} px");
+        (Err(VisionError::Result { action, expected, found }), Some(better)) => {
+            let found = format!("{found}. The stated board does not fit. {better}");
             Err(VisionError::Result { action, expected, found })
         }
         (Err(e), _) => Err(e),
+    }
+}
+
+/// Another statement about the board: the solve's RMS with it, and the corners' own noise.
+struct Other {
+    rms_px: f64,
+    noise_px: f64,
+    /// Completes "with ... RMS is".
+    says: String,
+}
+
+impl Other {
+    /// Whether it explains what a statement with this RMS does not.
+    fn fits(&self, stated_rms: f64) -> bool {
+        let excess = |rms: f64| (rms * rms - self.noise_px * self.noise_px).max(0.0);
+        self.rms_px < MISFIT * self.noise_px
+            && self.noise_px < NO_GRID_PX
+            && excess(self.rms_px) < LEFT_OVER * excess(stated_rms)
     }
 }
 

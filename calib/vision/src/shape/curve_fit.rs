@@ -21,13 +21,6 @@ const PIECE_FLOOR_PX: f64 = 0.01;
 /// Degrees of freedom of the Student weights: one piece in twenty lies on an edge or in a crossing.
 const STUDENT_DOF: f64 = 4.0;
 
-/// Predicted stations of one camera, one every piece length, with the node index (fractional) of each.
-#[derive(Debug, Clone)]
-pub struct Line {
-    /// Stations.
-    pub stations: Vec<Station>,
-}
-
 /// A point of the curve in a camera: point in that camera's frame and the derivative of the pixel by the point in the left frame.
 pub(crate) fn in_camera(
     stereo: &StereoCameras,
@@ -44,7 +37,7 @@ pub(crate) fn in_camera(
     Some((px, by_point * turn, x.z))
 }
 
-/// Stations along the image of a curve (base frame nodes) up to `length_mm`.
+/// Stations of one camera along the image of a curve (base frame nodes) up to `length_mm`, one every piece length.
 pub fn image_line(
     stereo: &StereoCameras,
     left_from_base: &Isometry3<f64>,
@@ -53,7 +46,7 @@ pub fn image_line(
     step_mm: f64,
     length_mm: f64,
     diameter_mm: f64,
-) -> Line {
+) -> Vec<Station> {
     let pixels: Vec<Option<(Vector2<f64>, f64)>> = points
         .iter()
         .map(|p| {
@@ -83,7 +76,7 @@ pub fn image_line(
             let f = (due - run) / long;
             let arc_mm = (i as f64 + f) * step_mm;
             if arc_mm > length_mm {
-                return Line { stations };
+                return stations;
             }
             // The chord of a curved piece is inside the curve by the sagitta.
             let sag = -0.5 * bend * (f * long) * (long - f * long);
@@ -100,12 +93,12 @@ pub fn image_line(
         }
         run += long;
     }
-    Line { stations }
+    stations
 }
 
 /// Measures all stations of a line.
-pub fn measure(picture: &Picture, line: &Line, appearance: Appearance, search_px: f64) -> Vec<Piece> {
-    line.stations.iter().filter_map(|s| fit_piece(picture, s, appearance, search_px)).collect()
+pub fn measure(picture: &Picture, line: &[Station], appearance: Appearance, search_px: f64) -> Vec<Piece> {
+    line.iter().filter_map(|s| fit_piece(picture, s, appearance, search_px)).collect()
 }
 
 /// Pieces that show the wire: a bar is likelier than an edge, and both sides differ from it with the wire's polarity.

@@ -10,7 +10,6 @@ use crate::shape::joint::{Joint, ROOT_CLAMPED, uncertainties};
 use crate::shape::other_pose::pairs_of_other_poses;
 use crate::shape::pair_errors::{SharedErrors, VertexErrors, pair_errors};
 use crate::shape::pair_fit::{PairFit, ROOT_FREE, Scene, fit_pair};
-use crate::shape::shared_errors::{camera_errors, shared_errors};
 use crate::stereo::StereoCameras;
 use crate::tags::base_pose::{
     FolderBase, PairTags, base_observations, folder_base, observations_of, rig_poses,
@@ -168,7 +167,6 @@ fn shapes_of_loaded(
     let uncertain = base
         .as_ref()
         .map_or_else(|| files.iter().map(|_| None).collect(), |b| uncertainties(stereo, b, &fits, root_sd));
-    let errors = camera_errors(stereo, &fits, &uncertain);
     let rigs = rig_poses(stereo, rig, &tags);
     let shared = SharedErrors::new(stereo, &uncertain, &rigs);
     if rigs.poses.iter().flatten().count() > 1 && rigs.shared_turn.is_none() {
@@ -198,7 +196,6 @@ fn shapes_of_loaded(
             document.warnings.push(remark.into());
         }
         let Some(u) = &uncertain[k] else { return document };
-        document.shared_errors = shared_errors(stereo, fit, u, &errors);
         let groove = rigs.poses[k].as_ref().zip(rig.groove.as_ref()).and_then(|(pose, groove)| {
             let vertex = VertexErrors::new(stereo, &shared, &rigs, k, fit, groove, u)?;
             let diameter_mm = rig.whisker.diameter_mm;
@@ -242,37 +239,7 @@ fn root_misplaced(fits: &[Result<PairFit, String>], diameter_mm: f64) -> bool {
 }
 
 fn load(stereo: &StereoCameras, rig: &Rig, files: &PairFiles) -> Result<PairInput, String> {
-    if let Some(why) = &files.refused {
-        return Err(why.clone());
-    }
-    let (Some(left), Some(right)) = (&files.left, &files.right) else {
-        return Err(format!(
-            "the {} picture is missing",
-            if files.left.is_none() { "left" } else { "right" }
-        ));
-    };
-    let read = |path: &std::path::PathBuf, camera: usize| {
-        let picture = Picture::read(path).map_err(|e| e.to_string())?;
-        let expected = stereo.cameras[camera].image_size_px;
-        if [picture.width, picture.height] != expected {
-            return Err(format!(
-                "{}: expected {}x{} px as calibrated, found {}x{}",
-                path.display(),
-                expected[0],
-                expected[1],
-                picture.width,
-                picture.height
-            ));
-        }
-        match picture.unusable() {
-            Some(why) => Err(format!("{}: {why}", path.display())),
-            None => Ok(picture),
-        }
-    };
-    let pictures = [read(left, 0)?, read(right, 1)?];
-    if pictures[0] == pictures[1] {
-        return Err("the left and the right picture are the same".into());
-    }
+    let pictures = files.read(Some(stereo.cameras.each_ref().map(|camera| camera.image_size_px)))?;
     let families: BTreeSet<&str> = rig.tags.iter().map(|t| t.family.as_str()).collect();
     let mut tags = Vec::new();
     for (camera, picture) in pictures.iter().enumerate() {

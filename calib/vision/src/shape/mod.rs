@@ -4,12 +4,10 @@
 pub mod curve;
 pub mod curve_fit;
 mod describe;
-pub mod drawing;
 pub mod folder;
 pub mod groove;
 pub mod joint;
 mod other_pose;
 mod pair_errors;
 pub mod pair_fit;
-mod shared_errors;
 pub mod socp_start;

@@ -13,15 +13,16 @@
 
 use crate::rig::RigGroove;
 use crate::rigid::hat;
+use crate::shape::curve::CurveState;
+use crate::shape::curve_fit::{in_camera, stepped};
 use crate::shape::describe::places;
 use crate::shape::groove::GrooveFound;
 use crate::shape::joint::{PairUncertainty, depth_axis};
 use crate::shape::pair_fit::PairFit;
-use crate::shape::shared_errors::length_change_mm;
 use crate::stereo::StereoCameras;
 use crate::tags::base_pose::RigPoses;
 use crate::tags::pose::gradient_by_calibration;
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix3xX, Matrix6, Vector3};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix3xX, Matrix6, Point3, Vector2, Vector3};
 use rayon::prelude::*;
 use wcal_core::shapes_document::{ErrorColumn, PairErrors, SharedParameter};
 
@@ -31,45 +32,20 @@ const STATION_POINTS: usize = 6;
 const LEFT_OUT_MM: f64 = 3e-4;
 /// Relative standard deviation of the side of a board's squares: stated for etched and printed boards (2 to 10 um in 60 mm).
 const BOARD_SCALE_SD: f64 = 1e-4;
-/// Errors of the setup other than the cameras': board, base, rig tag's place and turn, light, end.
+/// Places of the errors other than the cameras', in every list after these: board, base, rig tag's place and turn, light, end.
+const BOARD: usize = 0;
+const BASE: usize = 1;
+const TAG_PLACE: usize = 7;
+const TAG_TURN: usize = 10;
+const LIGHT: usize = 13;
+const END: usize = 14;
+/// How many they are.
 const SETUP: usize = 15;
-
-/// Places of the shared parameters in every list.
-#[derive(Debug, Clone, Copy)]
-struct Layout {
-    cameras: usize,
-}
-
-impl Layout {
-    fn of(stereo: &StereoCameras) -> Self {
-        Self { cameras: stereo.parameters() }
-    }
-    fn board(self) -> usize {
-        self.cameras
-    }
-    fn base(self) -> usize {
-        self.cameras + 1
-    }
-    fn tag_place(self) -> usize {
-        self.cameras + 7
-    }
-    fn tag_turn(self) -> usize {
-        self.cameras + 10
-    }
-    fn light(self) -> usize {
-        self.cameras + 13
-    }
-    fn end(self) -> usize {
-        self.cameras + 14
-    }
-    fn count(self) -> usize {
-        self.cameras + SETUP
-    }
-}
 
 /// Errors that all pairs of a folder share: the parameters, their covariance, and the derivatives of the rig tags by the cameras.
 pub(crate) struct SharedErrors {
-    layout: Layout,
+    /// Parameters of the cameras.
+    cameras: usize,
     pub(crate) parameters: Vec<SharedParameter>,
     pub(crate) covariance: DMatrix<f64>,
     /// Derivative of each pair's rig tag gradient by the cameras, 6 x parameters.
@@ -84,29 +60,29 @@ impl SharedErrors {
         uncertain: &[Option<PairUncertainty>],
         rigs: &RigPoses,
     ) -> Self {
-        let layout = Layout::of(stereo);
-        let mut covariance = DMatrix::zeros(layout.count(), layout.count());
+        let cameras = stereo.parameters();
+        let mut covariance = DMatrix::zeros(cameras + SETUP, cameras + SETUP);
         let mut put = |at: usize, block: &DMatrix<f64>| {
             covariance.view_mut((at, at), block.shape()).copy_from(block);
         };
         if let Some(c) = &stereo.covariance {
             put(0, c);
         }
-        put(layout.board(), &DMatrix::from_element(1, 1, BOARD_SCALE_SD.powi(2)));
+        put(cameras + BOARD, &DMatrix::from_element(1, 1, BOARD_SCALE_SD.powi(2)));
         if let Some(u) = uncertain.iter().flatten().find(|u| u.base_shared) {
-            put(layout.base(), &dynamic(&u.base));
+            put(cameras + BASE, &dynamic(&u.base));
         }
         let turn_covariance = rigs.shared_turn.and_then(|total| total.try_inverse());
         if let Some(c) = &turn_covariance {
-            put(layout.tag_turn(), &DMatrix::from_column_slice(3, 3, c.as_slice()));
+            put(cameras + TAG_TURN, &DMatrix::from_column_slice(3, 3, c.as_slice()));
         }
-        put(layout.light(), &DMatrix::identity(2, 2));
+        put(cameras + LIGHT, &DMatrix::identity(2, 2));
         let pull = |p: &Option<crate::tags::base_pose::RigPose>| {
             p.as_ref().map(|p| gradient_by_calibration(stereo, &p.observations, &p.left_from_tag))
         };
         let pulls: Vec<Option<DMatrix<f64>>> = rigs.poses.par_iter().map(pull).collect();
         let turn = turn_covariance.map(|c| {
-            let mut all = DMatrix::zeros(3, layout.cameras);
+            let mut all = DMatrix::zeros(3, cameras);
             for (p, pull) in rigs.poses.iter().zip(&pulls) {
                 if let (Some(b), Some(pull)) = (p.as_ref().and_then(|p| p.blocks()), pull) {
                     all += pull.rows(0, 3) - b.cross * b.shift * pull.rows(3, 3);
@@ -114,7 +90,7 @@ impl SharedErrors {
             }
             c * all
         });
-        Self { layout, parameters: parameters(stereo), covariance, pulls, turn }
+        Self { cameras, parameters: parameters(stereo), covariance, pulls, turn }
     }
 
     /// Covariance of a pair's quantities by their own and shared columns.
@@ -124,10 +100,10 @@ impl SharedErrors {
 
     /// Writes the columns of the cameras and of the board's size, which scales the baseline.
     fn put_cameras(&self, stereo: &StereoCameras, to: &mut DMatrix<f64>, by_cameras: &DMatrix<f64>) {
-        to.columns_mut(0, self.layout.cameras).copy_from(by_cameras);
+        to.columns_mut(0, self.cameras).copy_from(by_cameras);
         let baseline = &stereo.right_from_left.translation.vector;
-        let last = by_cameras.columns(self.layout.cameras - 3, 3);
-        to.set_column(self.layout.board(), &(last * baseline));
+        let last = by_cameras.columns(self.cameras - 3, 3);
+        to.set_column(self.cameras + BOARD, &(last * baseline));
     }
 }
 
@@ -182,20 +158,20 @@ impl VertexErrors {
         u: &PairUncertainty,
     ) -> Option<Self> {
         let (pose, pull) = (rigs.poses[pair].as_ref()?, shared.pulls[pair].as_ref()?);
-        let layout = shared.layout;
+        let cameras = shared.cameras;
         let base_from_left = fit.left_from_base.inverse();
         let in_left = pose.left_from_tag * nalgebra::Point3::from(groove.position_in_tag_mm);
         let vertex = (base_from_left * in_left).coords;
         let to_base: Matrix3<f64> =
             *(base_from_left.rotation * pose.left_from_tag.rotation).to_rotation_matrix().matrix();
         let lever = -hat(&groove.position_in_tag_mm);
-        let mut columns = DMatrix::zeros(3, layout.count());
+        let mut columns = DMatrix::zeros(3, cameras + SETUP);
         let (own, by_cameras) = match &shared.turn {
             // The shift that minimises chi2 at a turn: t = I_tt^-1 (g_t - I_tw w).
             Some(turn) => {
                 let b = pose.blocks()?;
                 let by_turn = to_base * (lever - b.shift * b.cross.transpose());
-                columns.columns_mut(layout.tag_turn(), 3).copy_from(&by_turn);
+                columns.columns_mut(cameras + TAG_TURN, 3).copy_from(&by_turn);
                 let own = to_base * b.shift.cholesky()?.l();
                 let by_cameras = by_turn * turn + to_base * b.shift * pull.rows(3, 3);
                 (DMatrix::from_column_slice(3, 3, own.as_slice()), dense(by_cameras))
@@ -216,10 +192,10 @@ impl VertexErrors {
         let by_cameras = by_cameras + &by_base * u.by_calibration.rows(0, 6);
         shared.put_cameras(stereo, &mut columns, &by_cameras);
         if u.base_shared {
-            columns.columns_mut(layout.base(), 6).copy_from(&by_base);
+            columns.columns_mut(cameras + BASE, 6).copy_from(&by_base);
         }
         // A displaced tag displaces the vertex that it states by the same vector.
-        columns.columns_mut(layout.tag_place(), 3).copy_from(&to_base);
+        columns.columns_mut(cameras + TAG_PLACE, 3).copy_from(&to_base);
         let mut covariance = shared.covariance_of(&own, &columns);
         if !u.base_shared {
             covariance += &by_base * dynamic(&u.base) * by_base.transpose();
@@ -321,27 +297,27 @@ fn shared_columns(
     by_curve: &DMatrix<f64>,
     vertex: Option<&VertexErrors>,
 ) -> DMatrix<f64> {
-    let (layout, rows) = (shared.layout, by_curve.nrows());
-    let mut line = DMatrix::zeros(rows, layout.count());
+    let (cameras, rows) = (shared.cameras, by_curve.nrows());
+    let mut line = DMatrix::zeros(rows, cameras + SETUP);
     let by_cameras = by_curve * u.by_calibration.rows(6, fit.model.parameters());
     shared.put_cameras(stereo, &mut line, &by_cameras);
     if u.base_shared {
-        line.columns_mut(layout.base(), 6).copy_from(&(by_curve * &u.by_base));
+        line.columns_mut(cameras + BASE, 6).copy_from(&(by_curve * &u.by_base));
     }
     // A line that is off in one picture moves the whole wire in depth.
     let depth = depth_axis(fit) * u.shared_mm;
     for row in 0..rows / 3 {
-        line.view_mut((3 * row, layout.light()), (3, 1)).copy_from(&depth);
+        line.view_mut((3 * row, cameras + LIGHT), (3, 1)).copy_from(&depth);
     }
-    let mut length = DMatrix::zeros(1, layout.count());
-    let by_cameras = DMatrix::from_fn(1, layout.cameras, |_, k| {
+    let mut length = DMatrix::zeros(1, cameras + SETUP);
+    let by_cameras = DMatrix::from_fn(1, cameras, |_, k| {
         let h = stereo.difference_step(k);
-        let error = DVector::from_fn(layout.cameras, |i, _| if i == k { h } else { 0.0 });
+        let error = DVector::from_fn(cameras, |i, _| if i == k { h } else { 0.0 });
         length_change_mm(stereo, fit, u, &error) / h
     });
     shared.put_cameras(stereo, &mut length, &by_cameras);
-    length[layout.end()] = fit.length_shared_mm;
-    let mut columns = DMatrix::zeros(rows + 4, layout.count());
+    length[cameras + END] = fit.length_shared_mm;
+    let mut columns = DMatrix::zeros(rows + 4, cameras + SETUP);
     columns.rows_mut(0, rows).copy_from(&line);
     if let Some(v) = vertex {
         columns.rows_mut(rows, 3).copy_from(&v.shared);
@@ -399,4 +375,30 @@ fn nanometres(x: f64) -> f64 {
 /// Eight digits: parameters of cameras are strongly correlated, and their parts cancel.
 fn significant(x: f64) -> f64 {
     format!("{x:.7e}").parse().unwrap_or(x)
+}
+
+/// The pictures show the tip where they do: with other cameras that is another arc length.
+fn length_change_mm(stereo: &StereoCameras, fit: &PairFit, u: &PairUncertainty, error: &DVector<f64>) -> f64 {
+    let other = (0..stereo.parameters()).fold(stereo.clone(), |s, k| s.moved(k, error[k]));
+    let (pose, state) = stepped(&fit.left_from_base, &fit.state, &(&u.by_calibration * error));
+    let end = |state: &CurveState, arc_mm: f64| {
+        let points = fit.model.shape(state).points;
+        let x = (arc_mm / fit.model.step_mm).clamp(0.0, points.len() as f64 - 1.001);
+        points[x as usize] * (1.0 - x.fract()) + points[x as usize + 1] * x.fract()
+    };
+    let seen = |s: &StereoCameras, pose: &Isometry3<f64>, p: &Vector3<f64>, camera: usize| {
+        in_camera(s, camera, &(pose * Point3::from(*p)).coords).map(|(px, _, _)| px)
+    };
+    let tip = end(&fit.state, fit.length_mm);
+    let before = end(&fit.state, fit.length_mm - fit.model.step_mm);
+    let moved = end(&state, fit.length_mm);
+    let changes: Vec<f64> = (0..2)
+        .filter_map(|camera| {
+            let at = seen(stereo, &fit.left_from_base, &tip, camera)?;
+            let along: Vector2<f64> = at - seen(stereo, &fit.left_from_base, &before, camera)?;
+            let off: Vector2<f64> = seen(&other, &pose, &moved, camera)? - at;
+            Some(-off.dot(&along) / along.norm_squared() * fit.model.step_mm)
+        })
+        .collect();
+    changes.iter().sum::<f64>() / changes.len().max(1) as f64
 }

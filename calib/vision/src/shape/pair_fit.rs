@@ -268,7 +268,7 @@ fn ends_seen(
     let of = |camera: usize| {
         let (from, step) = (scene.left_from_base, model.step_mm);
         let line = image_line(scene.stereo, from, camera, &points, step, f64::INFINITY, diameter_mm);
-        find_tip(&scene.pictures[camera], &line.stations, appearances[camera], length)
+        find_tip(&scene.pictures[camera], &line, appearances[camera], length)
     };
     (0..2).filter_map(of).collect()
 }

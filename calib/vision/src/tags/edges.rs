@@ -6,22 +6,32 @@
 //! n_i . (observed_i - H(c) m_i) = polarity_i s + noise      unknowns: four corners c (homography H), spread s of the dark cells
 //! ```
 //! with an edge's middle m_i in the tag's square and its normal n_i in undistorted pixels; weighted least squares.
+//! Where cells are too small to be measured one by one, pieces of the four sides take their place; these have one polarity, so that s is held at 0.
 //! Source: Zhang, "A Flexible New Technique for Camera Calibration", IEEE PAMI 22(11), 2000, appendix A (homography).
 
 use crate::camera::{Camera, distorted_px, undistorted_px};
+use crate::homography::{homography, mapped};
 use crate::picture::Picture;
 use crate::profile::blurred_step;
-use nalgebra::{Matrix2, Matrix4, SMatrix, SVector, Vector2, Vector4};
+use crate::tags::detection::tag_corners;
+use nalgebra::{Matrix2, Matrix3, Matrix4, SMatrix, SVector, Vector2, Vector4};
 use wcal_core::least_squares::{Damping, Ending, NormalEquations, minimise};
 
 /// Movement at which a fit ends, px.
-pub(crate) const FINE_PX: f64 = 0.01;
+const FINE_PX: f64 = 0.01;
 /// Cells smaller than this do not resolve the grey levels on both sides of an edge, px.
 const MIN_CELL_PX: f64 = 5.0;
 /// Edges needed: 9 unknowns, and enough beyond them to judge the scatter.
 const MIN_EDGES: usize = 32;
 /// Share of a cell's side that an edge is fitted over; the rest is kept clear of the crossing edges.
 const ALONG: f64 = 0.66;
+/// Pieces of a side of the outline, and how many of all four sides are needed.
+const PIECES: usize = 4;
+const MIN_PIECES: usize = 12;
+/// Share of a cell beside the outline that shows nothing but the border and the margin.
+const BESIDE: f64 = 0.7;
+/// Least width of that on either side, px.
+const MIN_BESIDE_PX: f64 = 1.5;
 /// Floor of an edge's standard deviation, px: the raster of the print, which the pixels' noise does not include.
 const SCATTER_FLOOR_PX: f64 = 0.005;
 
@@ -43,103 +53,171 @@ struct CellEdge {
     variance: f64,
 }
 
-/// Corners by all cell edges, starting from `start` (straightened px). None where the tag is too small or mostly hidden.
-pub(crate) fn refine_by_cells(
+/// Which edges of a tag are measured.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) enum Edges {
+    /// Those between all cells.
+    Cells,
+    /// The outline's.
+    Outline,
+}
+
+/// Corners by a tag's edges, starting from `start` (straightened px). None where the tag is too small or mostly hidden.
+pub(crate) fn refine_by_edges(
     picture: &Picture,
     camera: Option<&Camera>,
     start: &[Vector2<f64>; 4],
     cells: usize,
+    kind: Edges,
 ) -> Option<Corners> {
-    let shortest = (0..4).map(|k| (start[(k + 1) % 4] - start[k]).norm()).fold(f64::INFINITY, f64::min);
-    if shortest / (cells as f64) < MIN_CELL_PX {
-        return None;
-    }
     let mut found = Corners { corners: *start, covariances: [Matrix2::zeros(); 4] };
     // The first round balances bright against dark only; the second fits the profile to the pixels about its edges.
     for method in [balance as Method, fit] {
-        let edges = cell_edges(picture, camera, &found.corners, cells, method)?;
-        found = solve(&found.corners, &edges)?;
+        let view = TagView { picture, camera, h: square(&found.corners)?, cells, method };
+        let cell_px = shortest_side(&found.corners) / cells as f64;
+        let edges = match kind {
+            Edges::Cells => view.cell_edges(cell_px)?,
+            Edges::Outline => view.outline_pieces(cell_px)?,
+        };
+        found = solve(&found.corners, &edges, kind)?;
     }
     let near = found.corners.iter().zip(start).all(|(a, b)| (a - b).norm() < 3.0);
     near.then_some(found)
 }
 
+fn shortest_side(corners: &[Vector2<f64>; 4]) -> f64 {
+    (0..4).map(|k| (corners[(k + 1) % 4] - corners[k]).norm()).fold(f64::INFINITY, f64::min)
+}
+
+/// The corners of the tag's square (-1..1).
+fn unit() -> [Vector2<f64>; 4] {
+    tag_corners(2.0).map(|p| p.xy())
+}
+
 /// The map from the tag's square (-1..1) to straightened pixels.
-fn homography(corners: &[Vector2<f64>; 4]) -> Option<[f64; 8]> {
-    let mut a = SMatrix::<f64, 8, 8>::zeros();
-    let mut b = SVector::<f64, 8>::zeros();
-    for (k, (p, q)) in UNIT.iter().zip(corners).enumerate() {
-        a.row_mut(2 * k).copy_from_slice(&[p[0], p[1], 1.0, 0.0, 0.0, 0.0, -q.x * p[0], -q.x * p[1]]);
-        a.row_mut(2 * k + 1).copy_from_slice(&[0.0, 0.0, 0.0, p[0], p[1], 1.0, -q.y * p[0], -q.y * p[1]]);
-        b[2 * k] = q.x;
-        b[2 * k + 1] = q.y;
-    }
-    a.lu().solve(&b).map(|s| std::array::from_fn(|k| s[k]))
+fn square(corners: &[Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
+    homography(&unit(), corners)
 }
 
-/// Corners of the square in the tag's order.
-const UNIT: [[f64; 2]; 4] = [[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]];
-
-fn map(h: &[f64; 8], p: &Vector2<f64>) -> Vector2<f64> {
-    let w = h[6] * p.x + h[7] * p.y + 1.0;
-    Vector2::new((h[0] * p.x + h[1] * p.y + h[2]) / w, (h[3] * p.x + h[4] * p.y + h[5]) / w)
-}
-
-fn cell_edges(
-    picture: &Picture,
-    camera: Option<&Camera>,
-    corners: &[Vector2<f64>; 4],
+/// A tag of so many cells a side in a picture, and how its edges are measured.
+struct TagView<'a> {
+    picture: &'a Picture,
+    camera: Option<&'a Camera>,
+    h: Matrix3<f64>,
     cells: usize,
     method: Method,
-) -> Option<Vec<CellEdge>> {
-    let h = homography(corners)?;
-    let side = 2.0 / cells as f64;
-    let place = |k: f64| k * side - 1.0;
-    // Grey values of the cells, one ring outside included.
-    let count = cells + 2;
-    let grey: Vec<f64> = (0..count * count)
-        .map(|k| {
-            let (i, j) = ((k % count) as f64 - 0.5, (k / count) as f64 - 0.5);
-            let p = distorted_px(camera, &map(&h, &Vector2::new(place(i), place(j))));
-            picture.sample(p.x, p.y)
-        })
-        .collect();
-    let mut sorted = grey.clone();
-    sorted.sort_by(f64::total_cmp);
-    let (dark, bright) = (sorted[sorted.len() / 10], sorted[sorted.len() * 9 / 10]);
-    let colour = |i: usize, j: usize| {
-        let x = (grey[j * count + i] - dark) / (bright - dark).max(1.0);
-        // In between: a shadow, a smear or the wire covers the cell.
-        ((x - 0.5).abs() > 0.15).then_some(x > 0.5)
-    };
-    let mut edges = Vec::new();
-    for across in 1..=cells {
-        for k in 0..=cells {
-            for upright in [true, false] {
-                let (one, two, middle, along) = if upright {
-                    let m = Vector2::new(place(k as f64), place(across as f64 - 0.5));
-                    (colour(k, across), colour(k + 1, across), m, Vector2::new(0.0, 1.0))
-                } else {
-                    let m = Vector2::new(place(across as f64 - 0.5), place(k as f64));
-                    (colour(across, k), colour(across, k + 1), m, Vector2::new(1.0, 0.0))
-                };
-                let (Some(one), Some(two)) = (one, two) else { continue };
-                if one != two {
-                    let half = along * (0.5 * ALONG * side);
-                    edges.extend(measure(picture, camera, &h, [&middle, &half], method));
+}
+
+impl TagView<'_> {
+    /// Pieces of the four sides, clear of the corners.
+    fn outline_pieces(&self, cell_px: f64) -> Option<Vec<CellEdge>> {
+        let reach = (BESIDE * cell_px).min(6.0);
+        // In the tag's square, where a side is 2 long.
+        let clear = 2.0 * reach.max(2.0) / (cell_px * self.cells as f64);
+        if reach < MIN_BESIDE_PX || clear > 0.5 {
+            return None;
+        }
+        let half = (1.0 - clear) / PIECES as f64;
+        let corners = unit();
+        let pieces = (0..4 * PIECES).filter_map(|k| {
+            let (a, b) = (corners[k / PIECES], corners[(k / PIECES + 1) % 4]);
+            let along = 0.5 * (b - a);
+            let middle = 0.5 * (a + b) + along * (clear - 1.0 + half * (2 * (k % PIECES) + 1) as f64);
+            self.measure([&middle, &(along * half)], reach)
+        });
+        Some(pieces.collect()).filter(|pieces: &Vec<_>| pieces.len() >= MIN_PIECES)
+    }
+
+    /// Edges between cells of different colour.
+    fn cell_edges(&self, cell_px: f64) -> Option<Vec<CellEdge>> {
+        if cell_px < MIN_CELL_PX {
+            return None;
+        }
+        let cells = self.cells;
+        let side = 2.0 / cells as f64;
+        let place = |k: f64| k * side - 1.0;
+        // Grey values of the cells, one ring outside included.
+        let count = cells + 2;
+        let grey: Vec<f64> = (0..count * count)
+            .map(|k| {
+                let (i, j) = ((k % count) as f64 - 0.5, (k / count) as f64 - 0.5);
+                let p = distorted_px(self.camera, &mapped(&self.h, &Vector2::new(place(i), place(j)))?);
+                Some(self.picture.sample(p.x, p.y))
+            })
+            .collect::<Option<_>>()?;
+        let mut sorted = grey.clone();
+        sorted.sort_by(f64::total_cmp);
+        let (dark, bright) = (sorted[sorted.len() / 10], sorted[sorted.len() * 9 / 10]);
+        let colour = |i: usize, j: usize| {
+            let x = (grey[j * count + i] - dark) / (bright - dark).max(1.0);
+            // In between: a shadow, a smear or the wire covers the cell.
+            ((x - 0.5).abs() > 0.15).then_some(x > 0.5)
+        };
+        let mut edges = Vec::new();
+        for across in 1..=cells {
+            for k in 0..=cells {
+                for upright in [true, false] {
+                    let (one, two, middle, along) = if upright {
+                        let m = Vector2::new(place(k as f64), place(across as f64 - 0.5));
+                        (colour(k, across), colour(k + 1, across), m, Vector2::new(0.0, 1.0))
+                    } else {
+                        let m = Vector2::new(place(across as f64 - 0.5), place(k as f64));
+                        (colour(across, k), colour(across, k + 1), m, Vector2::new(1.0, 0.0))
+                    };
+                    let (Some(one), Some(two)) = (one, two) else { continue };
+                    if one != two {
+                        let half = along * (0.5 * ALONG * side);
+                        // Half of the next cell at most, and no more than a wide blur needs.
+                        edges.extend(self.measure([&middle, &half], (0.5 * cell_px).min(6.0)));
+                    }
                 }
             }
         }
+        (edges.len() >= MIN_EDGES).then_some(edges)
     }
-    (edges.len() >= MIN_EDGES).then_some(edges)
+
+    /// Measures an edge by the pixels that lie beside it as far as `reach`, px.
+    fn measure(&self, [middle, half]: [&Vector2<f64>; 2], reach: f64) -> Option<CellEdge> {
+        let straight = [mapped(&self.h, &(middle - half))?, mapped(&self.h, &(middle + half))?];
+        let [a, b] = straight.map(|p| distorted_px(self.camera, &p));
+        let (origin, length) = (0.5 * (a + b), (b - a).norm());
+        let along = (b - a) / length;
+        let normal = Vector2::new(-along.y, along.x);
+        let span = reach.hypot(0.5 * length) + 1.0;
+        if !self.picture.contains(origin.x, origin.y, span) {
+            return None;
+        }
+        let mut pixels: Vec<(f64, f64)> = Vec::with_capacity(128);
+        for y in (origin.y - span) as i64..=(origin.y + span) as i64 {
+            for x in (origin.x - span) as i64..=(origin.x + span) as i64 {
+                let d = Vector2::new(x as f64, y as f64) - origin;
+                if along.dot(&d).abs() <= 0.5 * length && normal.dot(&d).abs() <= reach {
+                    pixels.push((normal.dot(&d), self.picture.at(x, y)));
+                }
+            }
+        }
+        if pixels.len() < 12 {
+            return None;
+        }
+        let profile = (self.method)(&pixels, reach)?;
+        let observed = undistorted_px(self.camera, &(origin + normal * profile.offset_px));
+        // The normal in straightened pixels, at right angles to the edge there.
+        let run = (straight[1] - straight[0]).normalize();
+        Some(CellEdge {
+            middle: *middle,
+            normal: Vector2::new(-run.y, run.x),
+            observed,
+            polarity: profile.step.signum(),
+            variance: profile.variance_px2,
+        })
+    }
 }
 
-/// An edge across its pixels: where it lies and the variance of that, px and px^2, its lower side's level and its step, DN.
-pub(crate) struct Profile {
-    pub offset_px: f64,
+/// An edge across its pixels: where it lies and the variance of that, px and px^2, and its step, DN.
+struct Profile {
+    offset_px: f64,
     variance_px2: f64,
-    pub level: f64,
-    pub step: f64,
+    step: f64,
 }
 
 /// Measures an edge from (place across it in px, grey value) of its pixels, which extend this far to both sides.
@@ -155,57 +233,13 @@ fn levels(pixels: &[(f64, f64)], from_px: f64) -> [f64; 2] {
 }
 
 /// Where an edge lies whose mean grey value is what the pixels have: within a tenth of a pixel, in one pass.
-pub(crate) fn balance(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
+fn balance(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
     let [low, high] = levels(pixels, 0.5 * reach);
     let step = high - low;
     // The sum over the pixels of what each lacks to an edge at 0, over the pixels that a shift by 1 px changes.
     let lack: f64 = pixels.iter().map(|p| if p.0 > 0.0 { high - p.1 } else { low - p.1 }).sum();
     let offset_px = lack / step * 2.0 * reach / pixels.len() as f64;
-    (offset_px.abs() < 0.5 * reach).then_some(Profile { offset_px, variance_px2: 0.01, level: low, step })
-}
-
-/// Measures one cell's edge.
-fn measure(
-    picture: &Picture,
-    camera: Option<&Camera>,
-    h: &[f64; 8],
-    [middle, half]: [&Vector2<f64>; 2],
-    method: Method,
-) -> Option<CellEdge> {
-    let straight = [map(h, &(middle - half)), map(h, &(middle + half))];
-    let [a, b] = straight.map(|p| distorted_px(camera, &p));
-    let (origin, length) = (0.5 * (a + b), (b - a).norm());
-    let along = (b - a) / length;
-    let normal = Vector2::new(-along.y, along.x);
-    // Half of the next cell at most, and no more than a wide blur needs.
-    let reach = (0.5 * length / ALONG).min(6.0);
-    let span = reach.hypot(0.5 * length) + 1.0;
-    if !picture.contains(origin.x, origin.y, span) {
-        return None;
-    }
-    let mut pixels: Vec<(f64, f64)> = Vec::with_capacity(128);
-    for y in (origin.y - span) as i64..=(origin.y + span) as i64 {
-        for x in (origin.x - span) as i64..=(origin.x + span) as i64 {
-            let d = Vector2::new(x as f64, y as f64) - origin;
-            if along.dot(&d).abs() <= 0.5 * length && normal.dot(&d).abs() <= reach {
-                pixels.push((normal.dot(&d), picture.at(x, y)));
-            }
-        }
-    }
-    if pixels.len() < 12 {
-        return None;
-    }
-    let profile = method(&pixels, reach)?;
-    let observed = undistorted_px(camera, &(origin + normal * profile.offset_px));
-    // The normal in straightened pixels, at right angles to the edge there.
-    let run = (straight[1] - straight[0]).normalize();
-    Some(CellEdge {
-        middle: *middle,
-        normal: Vector2::new(-run.y, run.x),
-        observed,
-        polarity: profile.step.signum(),
-        variance: profile.variance_px2,
-    })
+    (offset_px.abs() < 0.5 * reach).then_some(Profile { offset_px, variance_px2: 0.01, step })
 }
 
 /// Fits `level + step S((u - d) / s)`.
@@ -238,32 +272,32 @@ fn fit(pixels: &[(f64, f64)], reach: f64) -> Option<Profile> {
         return None;
     }
     let variance_px2 = m.try_inverse()?[(0, 0)] * cost / (pixels.len() as f64 - 4.0);
-    Some(Profile { offset_px: p[0], variance_px2, level: p[2], step: p[3] })
+    Some(Profile { offset_px: p[0], variance_px2, step: p[3] })
 }
 
 /// Corners and spread from the edges: Gauss-Newton with Student weights whose scale is the edges' own scatter.
-fn solve(start: &[Vector2<f64>; 4], edges: &[CellEdge]) -> Option<Corners> {
+fn solve(start: &[Vector2<f64>; 4], edges: &[CellEdge], kind: Edges) -> Option<Corners> {
     type Row = SVector<f64, 9>;
-    let h = homography(start)?;
+    let h = square(start)?;
     let nudge = 0.01;
     let mut moved = Vec::with_capacity(8);
     for k in 0..8 {
         let mut corners = *start;
         corners[k / 2][k % 2] += nudge;
-        moved.push(homography(&corners)?);
+        moved.push(square(&corners)?);
     }
-    let rows: Vec<(Row, f64, f64)> = edges
-        .iter()
-        .map(|e| {
-            let at = map(&h, &e.middle);
-            let mut row = Row::zeros();
-            for (k, m) in moved.iter().enumerate() {
-                row[k] = e.normal.dot(&(map(m, &e.middle) - at)) / nudge;
-            }
-            row[8] = -e.polarity;
-            (row, e.normal.dot(&(e.observed - at)), e.variance)
-        })
-        .collect();
+    let row = |e: &CellEdge| {
+        let at = mapped(&h, &e.middle)?;
+        let mut row = Row::zeros();
+        for (k, m) in moved.iter().enumerate() {
+            row[k] = e.normal.dot(&(mapped(m, &e.middle)? - at)) / nudge;
+        }
+        row[8] = -e.polarity;
+        Some((row, e.normal.dot(&(e.observed - at)), e.variance))
+    };
+    let rows: Vec<(Row, f64, f64)> = edges.iter().map(row).collect::<Option<_>>()?;
+    // Information on the spread: an outline alone cannot tell it from a larger tag.
+    let held = if kind == Edges::Outline { 1e12 } else { 0.0 };
     let mut x = Row::zeros();
     let mut scatter2 = SCATTER_FLOOR_PX * SCATTER_FLOOR_PX;
     let mut inverse = SMatrix::<f64, 9, 9>::identity();
@@ -278,6 +312,7 @@ fn solve(start: &[Vector2<f64>; 4], edges: &[CellEdge]) -> Option<Corners> {
             g += row * (weight * r);
             squares.push((r * r, r * r - variance));
         }
+        m[(8, 8)] += held;
         inverse = m.cholesky()?.inverse();
         x += inverse * g;
         // Median of squares of a Gaussian: 0.455 variances.

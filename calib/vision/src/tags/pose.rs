@@ -9,6 +9,7 @@
 //! Target", IEEE PAMI 28(12), 2006.
 
 use crate::camera::Camera;
+use crate::homography::homography;
 use crate::rigid::{hat, pose_from_parts, updated};
 use crate::stereo::StereoCameras;
 use crate::tags::detection::{Tag, tag_corners};
@@ -168,22 +169,8 @@ fn planar_solutions(camera: &Camera, size_mm: f64, tag: &Tag) -> Vec<Isometry3<f
     let h = 0.5 * size_mm;
     let image: Option<Vec<_>> = tag.corners_px.iter().map(|p| camera.undistort(p)).collect();
     let Some(q) = image else { return Vec::new() };
-    // Homography from the square (-1..1) to normalised coordinates: eight equations.
-    let mut a = nalgebra::SMatrix::<f64, 8, 8>::zeros();
-    let mut b = nalgebra::SVector::<f64, 8>::zeros();
-    for (k, p) in tag_corners(2.0).iter().enumerate() {
-        let rows = [
-            [p.x, p.y, 1.0, 0.0, 0.0, 0.0, -q[k].x * p.x, -q[k].x * p.y],
-            [0.0, 0.0, 0.0, p.x, p.y, 1.0, -q[k].y * p.x, -q[k].y * p.y],
-        ];
-        for (d, row) in rows.iter().enumerate() {
-            a.row_mut(2 * k + d).copy_from_slice(row);
-            b[2 * k + d] = q[k][d];
-        }
-    }
-    let Some(s) = a.lu().solve(&b) else { return Vec::new() };
-    let (c0, c1, c2) =
-        (Vector3::new(s[0], s[3], s[6]), Vector3::new(s[1], s[4], s[7]), Vector3::new(s[2], s[5], 1.0));
+    let Some(found) = homography(&tag_corners(2.0).map(|p| p.xy()), &q) else { return Vec::new() };
+    let [c0, c1, c2] = [0, 1, 2].map(|k| found.column(k) / found[(2, 2)]);
     let scale = 2.0 / (c0.norm() + c1.norm());
     let rotation = Matrix3::from_columns(&[c0 * scale, c1 * scale, (c0 * scale).cross(&(c1 * scale))]);
     let first = pose_from_parts(&rotation, &(c2 * scale * h));

@@ -1,8 +1,9 @@
 //! `report.html` of an evaluation, out of its document.
 
+use crate::commands::page::{Curves, Page, PlainTable, render};
 use anyhow::ensure;
 use serde_json::Value;
-use wcal_report::{Curves, Fact, NumberTable, TrackingInput, render_tracking};
+use wcal_report::Fact;
 
 /// `0.22 [0.18, 0.27]` out of a row, `-` where there is no value.
 pub(super) fn stated(row: &Value, key: &str) -> String {
@@ -16,7 +17,7 @@ pub(super) fn stated(row: &Value, key: &str) -> String {
 }
 
 /// A table out of rows: the names' key, then keys of errors in mm with their headings.
-fn table(rows: &Value, caption: &str, name: &[&str], columns: &[(&str, &str)]) -> Option<NumberTable> {
+fn table(rows: &Value, caption: &str, name: &[&str], columns: &[(&str, &str)]) -> Option<PlainTable> {
     let rows = rows.as_array().filter(|r| !r.is_empty())?;
     let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), str::to_owned);
     let one = |r: &Value| {
@@ -28,15 +29,17 @@ fn table(rows: &Value, caption: &str, name: &[&str], columns: &[(&str, &str)]) -
         };
         std::iter::once(first).chain(columns.iter().map(|(key, _)| cell(key))).collect()
     };
-    Some(NumberTable {
+    Some(PlainTable {
         caption: caption.to_owned(),
-        columns: std::iter::once(name.join(", ")).chain(columns.iter().map(|c| c.1.to_owned())).collect(),
+        columns: std::iter::once(name.join(", "))
+            .chain(columns.iter().map(|c| format!("#{}", c.1)))
+            .collect(),
         rows: rows.iter().map(one).collect(),
     })
 }
 
 /// The tables that the document has.
-fn tables(document: &Value) -> Vec<NumberTable> {
+fn tables(document: &Value) -> Vec<PlainTable> {
     let real = &document["virtual_real"];
     let surface = ("rmse_mm", "surface, mm");
     let [true_contact, followed] =
@@ -149,10 +152,10 @@ pub fn page(document: &Value) -> anyhow::Result<String> {
             x: "speed, mm/s".into(),
             y: "RMSE, mm".into(),
             lines: vec![("constant".into(), line("constant_mm")), ("random".into(), line("random_mm"))],
-            mark: None,
+            marks: Vec::new(),
         }]
     };
-    Ok(render_tracking(&TrackingInput {
+    Ok(render(&Page {
         over: "Contact tracker".into(),
         title: "Evaluation".into(),
         facts,

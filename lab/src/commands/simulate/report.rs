@@ -1,13 +1,12 @@
 //! `report.html` of a sweep dataset: counts from the summary, and a sweep of each kind drawn from the shards.
 
 use super::document::{DatasetDocument, Twin};
+use crate::commands::page::{Curves, Page, PlainTable};
 use crate::dataset::columns::{Column, read};
 use anyhow::{Context, bail};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-use wcal_report::{
-    EnginesCompared, ExampleSample, ExampleSweep, Fact, SpeedDifference, SweepsInput, SweptObject,
-};
+use wcal_report::{Fact, number, percent};
 
 /// Shards that are searched for sweeps to draw.
 const MAX_SHARDS: usize = 40;
@@ -15,22 +14,13 @@ const MAX_SHARDS: usize = 40;
 const MIN_SAMPLES: usize = 8;
 
 type Table = BTreeMap<String, Column>;
+type Counts = BTreeMap<String, u64>;
 
 /// The page; `shards` by name, in `folder`.
 ///
 /// # Errors
 /// Where a shard cannot be read.
-pub fn page(document: &DatasetDocument, folder: &Path, shards: &[String]) -> anyhow::Result<SweepsInput> {
-    let counts = |of: &BTreeMap<String, u64>| of.iter().map(|(k, n)| (k.clone(), *n)).collect::<Vec<_>>();
-    let mut verdicts = counts(&document.verdicts);
-    verdicts.sort_by_key(|(name, n)| (name != "kept", std::cmp::Reverse(*n)));
-    let objects = document.objects.iter().map(|(name, row)| SweptObject {
-        name: name.clone(),
-        sweeps: row.sweeps,
-        kept: row.kept,
-        rejected: counts(&row.verdicts).into_iter().filter(|(v, _)| v != "kept").collect(),
-        events: counts(&row.events),
-    });
+pub fn page(document: &DatasetDocument, folder: &Path, shards: &[String]) -> anyhow::Result<Page> {
     let mut facts = vec![
         Fact::new("engine", document.engine.clone()),
         Fact::new("sweeps", document.sweeps.to_string()),
@@ -45,19 +35,82 @@ pub fn page(document: &DatasetDocument, folder: &Path, shards: &[String]) -> any
         facts.push(Fact::new("sweeps a second and core", format!("{rate:.1}")));
     }
     let faults = [&document.missing, &document.left_out, &document.notes];
-    Ok(SweepsInput {
-        title: format!("{} sweeps over {} objects", document.sweeps, document.objects.len()),
-        facts,
-        warnings: faults.into_iter().flatten().cloned().collect(),
-        verdicts,
-        events: counts(&document.events),
-        objects: objects.collect(),
-        engines: engines(&document.twin),
-        examples: examples(folder, shards)?,
-    })
+    let mut notes: Vec<String> = faults.into_iter().flatten().cloned().collect();
+    let mut tables = vec![
+        counted("Sweeps by verdict", &document.verdicts),
+        counted("Events in all sweeps, rejected ones too", &document.events),
+        objects(document),
+    ];
+    if let Some((remarks, table)) = engines(&document.twin) {
+        notes.extend(remarks);
+        tables.push(table);
+    }
+    let curves = examples(folder, shards)?;
+    let title = format!("{} sweeps over {} objects", document.sweeps, document.objects.len());
+    Ok(Page { over: "Sweep dataset".into(), title, facts, notes, curves, tables })
 }
 
-fn engines(twin: &Twin) -> Option<EnginesCompared> {
+/// What the words of verdicts and events mean.
+fn meaning(word: &str) -> &'static str {
+    match word {
+        "kept" => "usable",
+        "no-section" => "the drawn plane misses the object within the wire's reach",
+        "no-contact" => "the wire never touched",
+        "starts-inside" => "the wire began inside the object",
+        "torque-too-high" => "the wire's skin was strained past the plan's limit",
+        "contact-jump" => "the wire sprang from one equilibrium to another, and the plan rejects that",
+        "no-equilibrium" => "the wire did not come to rest in too many samples",
+        "onset" => "first touch",
+        "release" => "the wire came free",
+        "unstable" => "a step went wrong: a value is not finite",
+        "penetration" => "the wire sank into the object by more than its radius",
+        "chatter" => "the contact opened and closed from step to step",
+        "engine-died" => "MuJoCo's program ended; a second run makes these sweeps again",
+        "model-refused" => "MuJoCo cannot take one of the object's convex parts",
+        "no-convex-parts" => "the object could not be taken apart into convex parts",
+        "jump" => "the wire sprang from one equilibrium to another",
+        "slip" => "the contact ran along the wire several times faster than the base",
+        _ => "",
+    }
+}
+
+/// Words that were counted, what each means and its share.
+fn counted(caption: &str, counts: &Counts) -> PlainTable {
+    let all = counts.values().sum::<u64>().max(1) as f64;
+    let mut rows: Vec<(&String, &u64)> = counts.iter().collect();
+    rows.sort_by_key(|(name, n)| (*name != "kept", std::cmp::Reverse(**n)));
+    let row = |(name, n): (&String, &u64)| {
+        vec![name.clone(), meaning(name).to_owned(), n.to_string(), percent(*n as f64 / all)]
+    };
+    PlainTable {
+        caption: caption.to_owned(),
+        columns: ["what", "meaning", "#number", "#share"].map(str::to_owned).into(),
+        rows: rows.into_iter().map(row).collect(),
+    }
+}
+
+fn objects(document: &DatasetDocument) -> PlainTable {
+    let words = |counts: &Counts| {
+        let words = counts.iter().filter(|(name, _)| *name != "kept").map(|(name, n)| format!("{name} {n}"));
+        words.collect::<Vec<_>>().join(", ")
+    };
+    let rows = document.objects.iter().map(|(name, row)| {
+        let share = percent(row.kept as f64 / row.sweeps.max(1) as f64);
+        let counts = [row.sweeps.to_string(), row.kept.to_string(), share];
+        let texts = [words(&row.verdicts), words(&row.events)];
+        std::iter::once(name.clone()).chain(counts).chain(texts).collect()
+    });
+    PlainTable {
+        caption: "Sweeps over each object".to_owned(),
+        columns: ["object", "#sweeps", "#kept", "#share kept", "rejected for", "events"]
+            .map(str::to_owned)
+            .into(),
+        rows: rows.collect(),
+    }
+}
+
+/// MuJoCo against the rod on the same sweeps, where they were made by both: remarks, and the table by speed.
+fn engines(twin: &Twin) -> Option<(Vec<String>, PlainTable)> {
     let table = twin.against_rod.as_ref()?;
     let verdicts: Vec<String> = table.verdicts.iter().map(|(v, n)| format!("{v} {n}")).collect();
     let mut remarks = vec![format!(
@@ -88,22 +141,77 @@ fn engines(twin: &Twin) -> Option<EnginesCompared> {
             c.hausdorff_mm, c.parts
         ));
     }
-    let by_speed = table.by_speed.iter().map(|r| SpeedDifference {
-        speed_mm_s: r.speed_mm_s,
-        samples: r.samples,
-        elsewhere: r.elsewhere,
-        moment_nmm: r.moment_nmm,
-        bias: r.bias,
-        contact_mm: r.contact_mm,
-        ripple_nmm: r.ripple_nmm,
-        overlap_mm: r.overlap_mm,
-        chatter: r.chatter,
-    });
-    Some(EnginesCompared { remarks, by_speed: by_speed.collect() })
+    remarks.push(
+        "Elsewhere: the contacts are so far apart that the wire is in another equilibrium (one engine has let it spring, the other not yet); \
+         the other columns leave these samples out. Bias: mean size of MuJoCo's moment over the rod's, less one; it grows with the speed where \
+         damping makes it."
+            .to_owned(),
+    );
+    let row = |r: &wcal_mujoco::rod_comparison::SpeedRow| {
+        let [from, to] = r.speed_mm_s.map(number);
+        let speed = if from == to { from } else { format!("{from} to {to}") };
+        let [moment, moment95] = r.moment_nmm.map(number);
+        let [contact, contact95] = r.contact_mm.map(number);
+        let rest = [number(r.ripple_nmm), number(r.overlap_mm), percent(r.chatter)];
+        let first = [speed, r.samples.to_string(), percent(r.elsewhere), moment, moment95];
+        first.into_iter().chain([percent(r.bias), contact, contact95]).chain(rest).collect()
+    };
+    let columns = [
+        "speed, mm/s",
+        "#samples",
+        "#elsewhere",
+        "#moment off, p50, N mm",
+        "#p95, N mm",
+        "#bias",
+        "#contact off, p50, mm",
+        "#p95, mm",
+        "#ripple, N mm",
+        "#overlap, mm",
+        "#chatter",
+    ];
+    let by_speed = PlainTable {
+        caption: "The same sweeps by MuJoCo against the rod, by the base's speed".to_owned(),
+        columns: columns.map(str::to_owned).into(),
+        rows: table.by_speed.iter().map(row).collect(),
+    };
+    Some((remarks, by_speed))
+}
+
+/// A sample of a drawn sweep.
+struct Sample {
+    t_s: f64,
+    /// Transverse base moments y and z, N mm.
+    moment_nmm: [f64; 2],
+    /// Arc length of the contact nearest to the base, mm; NaN without one.
+    arclength_mm: f64,
+    /// Event since the sample before; "none" where nothing happened.
+    event: String,
+}
+
+/// Moments and contact of a sweep; vertical lines at events.
+fn drawn(title: &str, samples: &[Sample]) -> [Curves; 2] {
+    let line = |of: &dyn Fn(&Sample) -> f64| samples.iter().map(|s| [s.t_s, of(s)]).collect();
+    let happened = samples.iter().filter(|s| s.event != "none");
+    let moments = Curves {
+        title: title.to_owned(),
+        x: "time, s".to_owned(),
+        y: "moment, N mm".to_owned(),
+        lines: vec![
+            ("moment y".to_owned(), line(&|s| s.moment_nmm[0])),
+            ("moment z".to_owned(), line(&|s| s.moment_nmm[1])),
+        ],
+        marks: happened.map(|s| (s.t_s, s.event.clone())).collect(),
+    };
+    let contact = Curves {
+        y: "arc length, mm".to_owned(),
+        lines: vec![("contact nearest to the base".to_owned(), line(&|s| s.arclength_mm))],
+        ..moments.clone()
+    };
+    [moments, contact]
 }
 
 /// One sweep for each verdict and each event, the first that there is.
-fn examples(folder: &Path, shards: &[String]) -> anyhow::Result<Vec<ExampleSweep>> {
+fn examples(folder: &Path, shards: &[String]) -> anyhow::Result<Vec<Curves>> {
     let (mut seen, mut found) = (BTreeSet::new(), Vec::new());
     // Spread over the objects.
     let step = shards.len().div_ceil(MAX_SHARDS).max(1);
@@ -129,29 +237,25 @@ fn examples(folder: &Path, shards: &[String]) -> anyhow::Result<Vec<ExampleSweep
                 .collect();
             if !new.is_empty() {
                 seen.extend(new);
-                found.push(ExampleSweep {
-                    title: format!("{shard}, sweep {index}: {verdict}"),
-                    samples: samples.clone(),
-                });
+                found.extend(drawn(&format!("{shard}, sweep {index}: {verdict}"), samples));
             }
         }
     }
     Ok(found)
 }
 
-fn by_sweep(table: &Table) -> anyhow::Result<BTreeMap<i64, Vec<ExampleSample>>> {
+fn by_sweep(table: &Table) -> anyhow::Result<BTreeMap<i64, Vec<Sample>>> {
     let [t, y, z, arc] =
         ["t_s", "moment_y_nmm", "moment_z_nmm", "contact_arclength_mm"].map(|n| real(table, n));
     let (t, y, z, arc) = (t?, y?, z?, arc?);
-    let (events, settled) = (text(table, "event")?, whole(table, "settled")?);
-    let mut all: BTreeMap<i64, Vec<ExampleSample>> = BTreeMap::new();
+    let events = text(table, "event")?;
+    let mut all: BTreeMap<i64, Vec<Sample>> = BTreeMap::new();
     for (k, sweep) in whole(table, "sweep")?.iter().enumerate() {
-        all.entry(*sweep).or_default().push(ExampleSample {
+        all.entry(*sweep).or_default().push(Sample {
             t_s: t[k].unwrap_or(f64::NAN),
             moment_nmm: [y[k], z[k]].map(|m| m.unwrap_or(f64::NAN)),
-            contact_arclength_mm: arc[k],
+            arclength_mm: arc[k].unwrap_or(f64::NAN),
             event: events[k].clone(),
-            settled: settled[k] == 1,
         });
     }
     Ok(all)

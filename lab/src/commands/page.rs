@@ -1,14 +1,11 @@
-//! The pages of a tracker: its training and its evaluation. Both are simulated.
+//! A page of facts, notes, charts and tables, for what the lab makes. All of it is simulated.
 
-use crate::input::Fact;
-use crate::markup::{Table, TableCell, list};
-use crate::page::simulated;
-use crate::plot::{Axis, Layer, Plot};
-use crate::sections::{legend, series};
+use wcal_report::plot::{Axis, Layer, Plot};
+use wcal_report::{Fact, Table, TableCell, legend, list, plain_page, series};
 
 /// What a page shows.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct TrackingInput {
+pub struct Page {
     /// Line above the heading, e.g. `Contact tracker`.
     pub over: String,
     /// Heading.
@@ -20,7 +17,7 @@ pub struct TrackingInput {
     /// Charts.
     pub curves: Vec<Curves>,
     /// Tables.
-    pub tables: Vec<NumberTable>,
+    pub tables: Vec<PlainTable>,
 }
 
 /// A chart of several lines.
@@ -34,32 +31,31 @@ pub struct Curves {
     pub y: String,
     /// Lines by name.
     pub lines: Vec<(String, Vec<[f64; 2]>)>,
-    /// A value of x to mark, with a word.
-    pub mark: Option<(f64, String)>,
+    /// Values of x to mark, each with a word.
+    pub marks: Vec<(f64, String)>,
 }
 
-/// A table whose first column is text and whose others are numbers, already printed.
+/// A table of values that are already printed.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct NumberTable {
+pub struct PlainTable {
     /// Caption.
     pub caption: String,
-    /// Names of the columns.
+    /// Names of the columns; one that begins with `#` holds numbers.
     pub columns: Vec<String>,
     /// Rows.
     pub rows: Vec<Vec<String>>,
 }
 
-/// The page.
-pub fn render_tracking(input: &TrackingInput) -> String {
-    let notes = if input.notes.is_empty() { String::new() } else { list(&input.notes) };
-    simulated(
-        &input.over,
-        &input.title,
-        &input.facts,
+/// The page as HTML.
+pub fn render(page: &Page) -> String {
+    plain_page(
+        (&page.over, &page.title),
+        true,
+        &page.facts,
         &[
-            ("notes", "Notes", notes),
-            ("curves", "Curves", input.curves.iter().map(curves).collect()),
-            ("tables", "Tables", input.tables.iter().map(table).collect()),
+            ("notes", "Notes", list(&page.notes)),
+            ("curves", "Curves", page.curves.iter().map(curves).collect()),
+            ("tables", "Tables", page.tables.iter().map(table).collect()),
         ],
     )
 }
@@ -73,9 +69,8 @@ fn curves(input: &Curves) -> String {
         let titles = at.iter().map(|[x, y]| format!("{name}: {x} {y:.4}")).collect();
         layers.push(Layer::Points { class, marker, at: at.clone(), titles });
     }
-    if let Some((at, label)) = &input.mark {
-        layers.push(Layer::VerticalRule { at: *at, label: label.clone() });
-    }
+    let marks = input.marks.iter();
+    layers.extend(marks.map(|(at, label)| Layer::VerticalRule { at: *at, label: label.clone() }));
     let all = || input.lines.iter().flat_map(|l| l.1.iter().copied());
     let plot = Plot {
         title: input.title.clone(),
@@ -89,20 +84,18 @@ fn curves(input: &Curves) -> String {
     format!("{}<figure>{}</figure>\n", legend(&names), plot.svg())
 }
 
-fn table(input: &NumberTable) -> String {
-    let columns: Vec<String> = input
-        .columns
-        .iter()
-        .enumerate()
-        .map(|(k, c)| if k == 0 { c.clone() } else { format!("#{c}") })
-        .collect();
-    let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
+fn table(input: &PlainTable) -> String {
+    let columns: Vec<&str> = input.columns.iter().map(String::as_str).collect();
     let mut table = Table::new(&input.caption, &columns);
     for row in &input.rows {
-        let cell = |(k, text): (usize, &String)| {
-            if k == 0 { TableCell::Text(text.clone()) } else { TableCell::Number(text.clone()) }
+        let cell = |(name, text): (&&str, &String)| {
+            if name.starts_with('#') {
+                TableCell::Number(text.clone())
+            } else {
+                TableCell::Text(text.clone())
+            }
         };
-        table.row(row.iter().enumerate().map(cell).collect());
+        table.row(columns.iter().zip(row).map(cell).collect());
     }
     table.html()
 }
@@ -114,28 +107,27 @@ mod tests {
     #[test]
     fn a_page_shows_its_lines_and_says_that_they_are_simulated() {
         let line = |y: f64| (0..4).map(|k| [f64::from(k), y / f64::from(k + 1)]).collect::<Vec<[f64; 2]>>();
-        let input = TrackingInput {
+        let page = Page {
             title: "A <model>".into(),
             curves: vec![Curves {
                 title: "Loss".into(),
-                lines: vec![("training".into(), line(3.0)), ("held out".into(), line(4.0))],
-                mark: Some((2.0, "best".into())),
+                lines: vec![("training".into(), line(3.0)), ("held out".into(), line(f64::NAN))],
+                marks: vec![(2.0, "best".into())],
                 ..Curves::default()
             }],
-            tables: vec![NumberTable {
+            tables: vec![PlainTable {
                 caption: "Errors".into(),
-                columns: vec!["object".into(), "RMSE, mm".into()],
+                columns: vec!["object".into(), "#RMSE, mm".into()],
                 rows: vec![vec!["ball".into(), "0.20 [0.10, 0.30]".into()]],
             }],
-            ..TrackingInput::default()
+            ..Page::default()
         };
-        let page = render_tracking(&input);
-        assert!(page.contains("<svg") && page.contains("held out"), "{page}");
-        assert!(
-            page.contains("SIMULATED") && page.contains("A &lt;model&gt;") && page.contains("[0.10, 0.30]")
-        );
+        let html = render(&page);
+        assert!(html.contains("<svg") && html.contains("held out") && html.contains("<title>best"), "{html}");
+        assert!(html.contains("SIMULATED") && html.contains("A &lt;model&gt;"));
+        assert!(html.contains("<td class=\"num\">0.20 [0.10, 0.30]</td>") && !html.contains("NaN"), "{html}");
         // Negative control: without curves there is no chart.
-        let bare = render_tracking(&TrackingInput { curves: vec![], ..input });
+        let bare = render(&Page { curves: vec![], ..page });
         assert!(!bare.contains("<svg"));
     }
 }

@@ -7,7 +7,6 @@
 //! - [`render_index`]: an overview page that links to reports in the same folder.
 //! - [`render_tracking`]: the page of a tracker's training or evaluation, from a [`TrackingInput`].
 //! - [`render_shapes`]: the page of shapes from stereo pictures, from a [`ShapesInput`].
-//! - [`render_sweeps`]: the page of a (simulated) sweep dataset, from a [`SweepsInput`].
 //!
 //! ```
 //! let verify = wcal_core::verify_document::VerifyDocument::refused("session", "axis", "no readings", 1);
@@ -23,7 +22,6 @@ mod page;
 mod plot;
 mod sections;
 mod shapes;
-mod sweeps;
 mod tracking;
 
 pub use input::{
@@ -33,7 +31,4 @@ pub use input::{
 pub use number::{number, p_value, percent, with_interval};
 pub use page::{is_page, render, render_index};
 pub use shapes::{ShapePair, ShapePicture, ShapesInput, render_shapes};
-pub use sweeps::{
-    EnginesCompared, ExampleSample, ExampleSweep, SpeedDifference, SweepsInput, SweptObject, render_sweeps,
-};
 pub use tracking::{Curves, NumberTable, TrackingInput, render_tracking};

@@ -6,8 +6,9 @@ use std::fmt::Debug;
 use std::ops::Range;
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
-use wcal_sim::rod_engine::{LINKS, Run};
-use wcal_sim::{Mesh, RodEngine, Sweep, SweepPlan};
+use wcal_lab_sweeps::rod_engine::{LINKS, Run};
+use wcal_lab_sweeps::{RodEngine, Sweep, SweepPlan};
+use wcal_sim::Mesh;
 
 /// One sweep with what it gave; `None` where its plane misses the object.
 pub type Outcome = (u64, Option<(Sweep, Run)>);

@@ -21,7 +21,8 @@ use std::path::Path;
 use std::sync::Arc;
 use wcal_core::observation::WhiskerSpec;
 use wcal_core::provenance::{canonical_json, sha256_hex};
-use wcal_sim::{Mesh, SweepPlan};
+use wcal_lab_sweeps::SweepPlan;
+use wcal_sim::Mesh;
 
 /// Sweeps in a shard.
 pub const BLOCK: u64 = 25;
@@ -268,7 +269,7 @@ mod tests {
     use serde_json::{Value, json};
     use std::sync::Arc;
     use wcal_core::observation::WhiskerSpec;
-    use wcal_sim::{SweepPlan, objects};
+    use wcal_lab_sweeps::{SweepPlan, objects};
 
     /// An engine of that identity.
     #[derive(Debug)]

@@ -8,12 +8,13 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
-use wcal_mujoco::cable_engine::{CableEngine, no_softening};
-use wcal_mujoco::convex::Convex;
+use wcal_lab_sweeps::cable_engine::{CableEngine, no_softening};
+use wcal_lab_sweeps::convex::Convex;
+use wcal_lab_sweeps::rod_engine::{LINKS, RodEngine, Run};
+use wcal_lab_sweeps::{Sweep, SweepPlan};
 use wcal_mujoco::mjcf::MjcfOptions;
 use wcal_mujoco::{MujocoEngine, TwinError};
-use wcal_sim::rod_engine::{LINKS, RodEngine, Run};
-use wcal_sim::{Mesh, SimError, Sweep, SweepPlan};
+use wcal_sim::{Mesh, SimError};
 
 /// Folder of the convex parts, in the dataset's.
 const CONVEX: &str = "convex";

@@ -29,10 +29,10 @@ use wcal_core::document::from_json;
 use wcal_core::files::{FileError, write_atomic};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::ranges::Range;
-use wcal_rod::Contact;
-use wcal_sim::rod_engine::Run;
-use wcal_sim::sweep::{ENGINE_DIED, Event};
-use wcal_sim::{Sample, Sweep, Verdict};
+use wcal_lab_sweeps::contact::Contact;
+use wcal_lab_sweeps::rod_engine::Run;
+use wcal_lab_sweeps::sweep::{ENGINE_DIED, Event};
+use wcal_lab_sweeps::{Sample, Sweep, Verdict};
 
 /// Version of the tables.
 pub const FORMAT: &str = "wcal-sweeps/1";

@@ -253,8 +253,7 @@ fn the_scripts_are_printed_without_slurm() {
     let folder = tempfile::tempdir().unwrap();
     let header = "#SBATCH --partition=long\n#SBATCH --mem=2G\nmodule load wcal\n";
     std::fs::write(folder.path().join("head.sh"), header).unwrap();
-    let given =
-        "simulate --object can --sweeps 100 --slurm head.sh --dry-run --slurm-tasks 2 --report --out sweeps";
+    let given = "simulate --object can --sweeps 100 --slurm head.sh --dry-run --slurm-tasks 2 --out sweeps";
     let done = program().current_dir(folder.path()).args(given.split_whitespace()).output().unwrap();
     let scripts = text(&done.stdout);
     assert_eq!(done.status.code(), Some(0), "{}", text(&done.stderr));
@@ -269,9 +268,8 @@ fn the_scripts_are_printed_without_slurm() {
     // Slurm reads its lines up to the first one of another kind.
     let last = scripts.rfind("#SBATCH").unwrap();
     assert!(scripts.rfind("module load").unwrap() > last, "{scripts}");
-    assert_eq!(scripts.matches("--report").count(), 1, "the report is the check's: {scripts}");
     assert!(scripts.contains("'--out' 'sweeps' --shard \"$SLURM_ARRAY_TASK_ID/2\"\n"), "{scripts}");
-    assert!(scripts.contains("'--report' '--out' 'sweeps' --check"), "{scripts}");
+    assert!(scripts.contains("'--out' 'sweeps' --check"), "{scripts}");
     assert!(!folder.path().join("sweeps").exists(), "a dry run left something behind");
     // Negative control: the options mean something only with --slurm.
     let wrong =

@@ -8,13 +8,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use wcal::picture_output::provenance;
 use wcal_core::Provenance;
+use wcal_lab_sweeps::SweepPlan;
+use wcal_lab_sweeps::convex::Convex;
+use wcal_lab_sweeps::rod_comparison::RodComparison;
+use wcal_lab_sweeps::rod_engine::LINKS;
 use wcal_mujoco::MujocoEngine;
 use wcal_mujoco::compare::{Statics, statics};
-use wcal_mujoco::convex::Convex;
 use wcal_mujoco::mjcf::MjcfOptions;
-use wcal_mujoco::rod_comparison::RodComparison;
-use wcal_sim::SweepPlan;
-use wcal_sim::rod_engine::LINKS;
 
 /// What the summary warns of.
 pub struct Faults {
@@ -241,6 +241,6 @@ pub fn print(document: &DatasetDocument, totals: &BTreeMap<String, Total>) {
         );
     }
     if let Some(table) = &twin.against_rod {
-        print!("MuJoCo against the rod on the same sweeps:\n{}", rod_comparison::Printed(table));
+        print!("{table}");
     }
 }

@@ -9,8 +9,8 @@ use std::path::Path;
 use std::sync::Arc;
 use wcal::picture_output::write;
 use wcal::progress::Progress;
+use wcal_lab_sweeps::SweepPlan;
 use wcal_mujoco::mjcf::MjcfOptions;
-use wcal_sim::SweepPlan;
 
 /// Shards made again that are named one by one.
 const MAX_REPEATS_SHOWN: usize = 5;

@@ -172,9 +172,7 @@ impl Job<'_> {
         let words: Vec<String> = std::env::args().skip(1).collect();
         let words: Vec<String> = [program].into_iter().chain(kept(&words)).collect();
         let line = |words: &[String]| words.iter().map(|w| quoted(w)).collect::<Vec<_>>().join(" ");
-        let check = line(&words);
-        // The report is on the whole, not on a share.
-        let command = line(&words.into_iter().filter(|w| w != "--report").collect::<Vec<_>>());
+        let command = line(&words);
         let work = format!(
             "export RAYON_NUM_THREADS=\"${{SLURM_CPUS_PER_TASK:-1}}\"\n\
              {command} --shard \"$SLURM_ARRAY_TASK_ID/{tasks}\"\n\
@@ -186,7 +184,7 @@ impl Job<'_> {
         let array = format!("#SBATCH --array={array}\n");
         Ok(Scripts {
             array: self.head("array", &array, "task-%a.log")? + &work,
-            check: self.head("check", "", "check.log")? + &format!("exec {check} --check\n"),
+            check: self.head("check", "", "check.log")? + &format!("exec {command} --check\n"),
         })
     }
 

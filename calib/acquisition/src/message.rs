@@ -58,7 +58,6 @@ mod range {
     pub(super) const ROWS_HZ: Range = Range::real("rows_hz", 0.0, 1e5);
     pub(super) const TRIGGER: Range = Range::whole("trigger", 0.0, 9e15);
     pub(super) const EXPOSURE_S: Range = Range::real("exposure_s", 0.0, 1e4);
-    pub(super) const BOARD: Range = Range::whole("board", 0.0, 1e8);
     pub(super) const TIMESTAMP_S: Range = Range::real("timestamp", -1e10, 1e10);
 }
 
@@ -361,7 +360,7 @@ impl From<&StageReading> for StagePosition {
 /// What happened in the sweep. Times are device times of the interrogator.
 #[derive(Clone, PartialEq, prost::Message)]
 pub struct SweepEvent {
-    /// `start`, `mount`, `arrived`, `window`, `moving`, `sync`, `soak`, `board`, `pair-refused`, `picture-missed`, `done`, `stopped`, `finished`.
+    /// `start`, `mount`, `arrived`, `window`, `moving`, `sync`, `soak`, `pair-refused`, `picture-missed`, `done`, `stopped`, `finished`.
     #[prost(string, tag = "1")]
     pub kind: String,
     /// Index of the step.
@@ -467,9 +466,6 @@ pub struct FrameInfo {
     /// Step of the plan whose settled pose it shows; absent for all others.
     #[prost(uint32, optional, tag = "6")]
     pub step: Option<u32>,
-    /// Attitude of the calibration board that it shows; absent for all others.
-    #[prost(uint32, optional, tag = "7")]
-    pub board: Option<u32>,
 }
 
 impl RecordedMessage for FrameInfo {
@@ -480,7 +476,6 @@ impl RecordedMessage for FrameInfo {
             (range::DEVICE_S, self.device_s.unwrap_or(0.0)),
             (range::EXPOSURE_S, self.exposure_s.unwrap_or(0.0)),
             (range::STEP, f64::from(self.step.unwrap_or(0))),
-            (range::BOARD, f64::from(self.board.unwrap_or(0))),
         ])
     }
 }
@@ -494,7 +489,6 @@ impl McapMessage for FrameInfo {
         ("device_s", 4, Type::Double, false),
         ("exposure_s", 5, Type::Double, false),
         ("step", 6, Type::Uint32, false),
-        ("board", 7, Type::Uint32, false),
     ];
 }
 

@@ -21,17 +21,6 @@ const FLUSH: Duration = Duration::from_millis(250);
 /// Longest time until the disk itself has it.
 const SYNC: Duration = Duration::from_secs(2);
 
-/// What a frame is recorded for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum FramePurpose {
-    /// Its time alone.
-    Nothing,
-    /// The settled pose of a step.
-    Pose(u32),
-    /// The calibration board in an attitude.
-    Board(u32),
-}
-
 /// How much a line of text matters, by the numbers of `foxglove.Log`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Level {
@@ -178,21 +167,11 @@ impl Recorder {
         self.message(topic::LOG, &line, host_s)
     }
 
-    /// Records the arrival of a frame and, where it shows a settled pose or the board, the picture without loss.
+    /// Records the arrival of a frame and, where it shows the settled pose of a step, the picture without loss.
     ///
     /// # Errors
     /// When the frame cannot be stored or the disk does not take it.
-    pub fn frame(
-        &self,
-        name: &str,
-        frame: &CameraFrame,
-        shows: FramePurpose,
-    ) -> Result<(), AcquisitionError> {
-        let (step, board) = match shows {
-            FramePurpose::Nothing => (None, None),
-            FramePurpose::Pose(step) => (Some(step), None),
-            FramePurpose::Board(view) => (None, Some(view)),
-        };
+    pub fn frame(&self, name: &str, frame: &CameraFrame, step: Option<u32>) -> Result<(), AcquisitionError> {
         let info = FrameInfo {
             camera: name.to_owned(),
             trigger: frame.trigger,
@@ -200,10 +179,9 @@ impl Recorder {
             device_s: frame.clocks.device_s,
             exposure_s: frame.measured_exposure_ms.or(frame.commanded_exposure_ms).map(|ms| ms * 1e-3),
             step,
-            board,
         };
         self.message(topic::FRAME, &info, frame.clocks.host_s)?;
-        if shows != FramePurpose::Nothing {
+        if step.is_some() {
             self.picture(&format!("{}{name}", topic::POSE_PICTURE), name, frame, "png", lossless(frame)?)?;
         }
         Ok(())

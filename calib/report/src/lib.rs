@@ -5,7 +5,6 @@
 //!
 //! - [`render`]: the page of one session, from a [`ReportInput`].
 //! - [`render_index`]: an overview page that links to reports in the same folder.
-//! - [`render_tracking`]: the page of a tracker's training or evaluation, from a [`TrackingInput`].
 //! - [`render_shapes`]: the page of shapes from stereo pictures, from a [`ShapesInput`].
 //!
 //! ```
@@ -22,7 +21,6 @@ mod page;
 mod plot;
 mod sections;
 mod shapes;
-mod tracking;
 
 pub use input::{
     EvidenceRow, Explanation, Fact, GateTest, IndexEntry, NamedError, ReportInput, RodBranch, TwinMark,
@@ -31,4 +29,3 @@ pub use input::{
 pub use number::{number, p_value, percent, with_interval};
 pub use page::{is_page, render, render_index};
 pub use shapes::{ShapePair, ShapePicture, ShapesInput, render_shapes};
-pub use tracking::{Curves, NumberTable, TrackingInput, render_tracking};

@@ -96,11 +96,6 @@ fn banner(input: &ReportInput) -> String {
     out + "</div>\n"
 }
 
-/// A page of simulated results; see [`plain`].
-pub(crate) fn simulated(over: &str, title: &str, input: &[Fact], parts: &[(&str, &str, String)]) -> String {
-    plain((over, title), true, input, parts)
-}
-
 /// A page without a verdict: line above the heading and heading, whether the data are simulated, facts, and sections (anchor, heading,
 /// content) of which empty ones are left out.
 pub(crate) fn plain(

@@ -4,9 +4,9 @@
 
 use wcal_core::observation::WhiskerSpec;
 use wcal_lab_sweeps::convex::Convex;
-use wcal_lab_sweeps::rod_comparison::{BothEngines, ComparisonSum};
+use wcal_lab_sweeps::rod_comparison::ComparisonSum;
 use wcal_lab_sweeps::rod_engine::LINKS;
-use wcal_lab_sweeps::{CableEngine, RodEngine, Sample, Sweep, SweepPlan, objects};
+use wcal_lab_sweeps::{CableEngine, RodEngine, Sweep, SweepPlan, objects};
 use wcal_mujoco::MujocoEngine;
 use wcal_mujoco::compare::statics;
 use wcal_mujoco::mjcf::MjcfOptions;
@@ -50,7 +50,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let rod = RodEngine::new(&whisker, LINKS)?;
     let mut cable = CableEngine::start(&whisker, &options)?;
     let mut sum = ComparisonSum::new(SPEEDS_MM_S.map(|v| [v; 2]).to_vec());
-    let state = |s: &Sample| (s.moment_nmm, s.contacts.first().map(|c| c.point_mm));
     for speed in SPEEDS_MM_S {
         let plan = SweepPlan { speed_mm_s: [speed; 2], acceleration_mm_s2: 0.0, ..SweepPlan::default() };
         for (mesh, convex) in &bodies {
@@ -58,14 +57,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 let Some(sweep) = Sweep::draw(mesh, &plan, 1, index, rod.reach_mm()) else { continue };
                 let quasi = rod.run(mesh, &sweep, &plan);
                 let dynamic = cable.run(mesh, &convex.corners(), &sweep, &plan)?;
-                let both = dynamic.samples.iter().enumerate().map(|(k, s)| BothEngines {
-                    speed_mm_s: s.speed_mm_s,
-                    overlap_mm: s.contacts.iter().map(|c| -c.gap_mm).fold(0.0, f64::max),
-                    settled: s.settled,
-                    dynamic: state(s),
-                    quasi: quasi.samples.get(k).map(state),
-                });
-                sum.add([dynamic.verdict.name(), quasi.verdict.name()], &both.collect::<Vec<_>>());
+                sum.add(&dynamic, &quasi);
             }
         }
     }

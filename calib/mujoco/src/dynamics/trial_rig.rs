@@ -33,6 +33,8 @@ const BALL_MM: f64 = 30.0;
 const ASIDE_MM: f64 = -10.0;
 const GAP_MM: f64 = 30.0;
 const LEAD_MM: f64 = 1.0;
+/// Points of the wire at which its reach is looked for.
+const REACH_POINTS: u32 = 200;
 /// Weight of the body that leads the wire, kg: contacts do not move it.
 const BASE_KG: f64 = 1e3;
 /// Share of steps between touching and free past which a sample chatters, and of such samples past which the sweep is no answer.
@@ -55,6 +57,9 @@ pub(super) struct TrialRig {
     engine: MujocoEngine,
     ei_nmm2: f64,
     length_mm: f64,
+    /// Of the straight part, at least a third of the wire.
+    straight_mm: f64,
+    /// How far the wire reaches along its root's direction.
     reach_mm: f64,
     bare_bounce: f64,
 }
@@ -62,7 +67,7 @@ pub(super) struct TrialRig {
 impl TrialRig {
     pub(super) fn new(whisker: &WhiskerSpec, targets: Targets) -> Result<Self, TwinError> {
         let section = wcal_rod::Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
-        let (length_mm, reach_mm) = match &whisker.rest_shape {
+        let (length_mm, straight_mm) = match &whisker.rest_shape {
             RestShape::StraightArc { straight_mm, length_mm, .. } => {
                 (*length_mm, straight_mm.max(length_mm / 3.0))
             }
@@ -71,12 +76,17 @@ impl TrialRig {
                 (length, length / 3.0)
             }
         };
+        let shape = wcal_rod::Shape::new(&whisker.rest_shape, 0.25)
+            .map_err(|e| TwinError::value("whisker", "a wire that can be bent", e.to_string()))?;
+        let along = (0..=REACH_POINTS).map(|k| f64::from(k) / f64::from(REACH_POINTS) * length_mm);
+        let reach_mm = along.map(|s_mm| shape.rest_point(s_mm).x).fold(0.0, f64::max);
         let mut bench = Self {
             whisker: whisker.clone(),
             targets,
             engine: MujocoEngine::start()?,
             ei_nmm2: section.ei_nmm2,
             length_mm,
+            straight_mm,
             reach_mm,
             bare_bounce: 1.0,
         };
@@ -200,17 +210,17 @@ impl TrialRig {
             let y = (PRESSED_MM - radius_mm - PLATE_MM) * 1e-3;
             around.bodies = format!(
                 "<geom name=\"plate\" type=\"box\" pos=\"{} {y} 0\" size=\"{half} {half} {half}\" contype=\"2\" conaffinity=\"1\" {}/>",
-                self.reach_mm * 0.9e-3,
+                self.straight_mm * 0.9e-3,
                 options.touch.attributes(),
                 half = PLATE_MM * 1e-3
             );
         }
         self.engine.load(&mjcf_among(&self.whisker, &options, &around)?, false)?;
-        let deflection = DEFLECTION * self.reach_mm;
+        let deflection = DEFLECTION * self.straight_mm;
         // The force that bends a cantilever by the deflection.
-        let force_n = 3.0 * self.ei_nmm2 * deflection / self.reach_mm.powi(3);
+        let force_n = 3.0 * self.ei_nmm2 * deflection / self.straight_mm.powi(3);
         let link_mm = self.length_mm / options.links as f64;
-        let link = ((self.reach_mm / link_mm) as usize).saturating_sub(1);
+        let link = ((self.straight_mm / link_mm) as usize).saturating_sub(1);
         self.engine.frame(&Request::Push {
             body: format!("link{link}"),
             along_m: link_mm * 1e-3,

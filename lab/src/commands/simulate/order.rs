@@ -105,7 +105,7 @@ impl Order {
             eprintln!("simulate: {line}");
         }
         let mujoco = self.mujoco.as_ref();
-        let twin = Twin::of(&self.dataset, mujoco, &args.out)?;
+        let twin = Twin::of(&self.dataset, totals, &args.out);
         let faults = Faults { left_out: self.left_out.clone(), notes, missing };
         let document = document(args, &self.dataset, mujoco, totals, faults, twin);
         let [share, shares] = self.dataset.share;

@@ -148,7 +148,8 @@ fn table<T: DeserializeOwned>(
     let place = path.display().to_string();
     let bytes = bytes(path)?;
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes.as_slice());
-    let wrong = |e: csv::Error| AcquisitionError::input(&place, "a CSV table with these columns", e.to_string());
+    let wrong =
+        |e: csv::Error| AcquisitionError::input(&place, "a CSV table with these columns", e.to_string());
     let lines: Vec<T> = reader.deserialize().collect::<Result<_, _>>().map_err(wrong)?;
     for (row, line) in lines.iter().enumerate() {
         let (point, others) = numbers(line);
@@ -165,7 +166,8 @@ fn table<T: DeserializeOwned>(
 }
 
 fn read_stands(path: &Path, sealed: bool) -> Result<Vec<PoseDwell>, AcquisitionError> {
-    let lines: Vec<PointLine> = table(path, |l: &PointLine| (l.point, vec![l.t_s, l.dwell_s, l.groove_x_mm]))?;
+    let lines: Vec<PointLine> =
+        table(path, |l: &PointLine| (l.point, vec![l.t_s, l.dwell_s, l.groove_x_mm]))?;
     let stand = |l: PointLine| PoseDwell {
         sealed,
         point: l.point,

@@ -2,8 +2,7 @@
 
 use crate::error::AcquisitionError;
 use crate::message::{
-    CompressedImage, FrameInfo, LogLine, McapMessage, Scan, StagePosition, SweepEvent, nanoseconds, stamp,
-    topic,
+    CompressedImage, FrameInfo, Log, McapMessage, Scan, StagePosition, SweepEvent, nanoseconds, stamp, topic,
 };
 use crate::pictures::{lossless, preview};
 use mcap::records::{MessageHeader, Metadata};
@@ -50,7 +49,7 @@ struct Open {
 impl Open {
     fn write<M: McapMessage>(&mut self, topic: &str, message: &M, host_s: f64) -> McapResult<()> {
         if !self.channels.contains_key(topic) {
-            let schema = self.writer.add_schema(M::NAME, "protobuf", &M::schema())?;
+            let schema = self.writer.add_schema(&M::full_name(), "protobuf", M::schema())?;
             let channel = self.writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())?;
             self.channels.insert(topic.to_owned(), (channel, 0));
         }
@@ -158,7 +157,7 @@ impl Recorder {
     /// # Errors
     /// When the disk does not take it.
     pub fn text(&self, host_s: f64, level: Level, text: &str) -> Result<(), AcquisitionError> {
-        let line = LogLine {
+        let line = Log {
             timestamp: Some(stamp(host_s)),
             level: level as i32,
             message: text.to_owned(),

@@ -97,7 +97,8 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Acquisiti
                     ));
                 }
                 // A chunk is checked before any of its messages is given: a wrong bit must not pass as data.
-                let records = records(&data, header.uncompressed_crc).filter(|_| header.compression.is_empty());
+                let records =
+                    records(&data, header.uncompressed_crc).filter(|_| header.compression.is_empty());
                 let mut whole = records.is_some();
                 for (opcode, body) in records.into_iter().flatten() {
                     whole &= topics.give(path, opcode, body, &mut take)?;

@@ -274,6 +274,10 @@ impl<'a> MovingObject<'a> {
 }
 
 impl Surface for MovingObject<'_> {
+    fn faceted(&self) -> bool {
+        true
+    }
+
     fn closest_point(&self, p: &Vector3<f64>, within_mm: f64) -> Option<ClosestPoint> {
         let shift = self.sweep.shift_mm - Vector3::z() * self.travel_mm;
         let place = self.sweep.turn.tr_mul(&(p - shift));

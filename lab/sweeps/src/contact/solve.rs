@@ -35,6 +35,7 @@ const MAX_CANDIDATES: usize = 40;
 const PLANE_MM: f64 = 0.02;
 /// Places closer than this (links) whose normals differ by less are one: two facets, and others.
 const SAME_FACET: [f64; 2] = [0.05, 0.01];
+const SAME_PLACE: [f64; 2] = [0.1, 0.1];
 /// A loaded place that comes back no farther away (links) has turned to another facet; farther, it has slid.
 const TURNED_LINKS: f64 = 0.1;
 /// Gap at which the augmented Lagrangian's square is as large as its linear part, mm.
@@ -127,7 +128,7 @@ impl ContactRod {
             let mut carriers = state.candidates.clone();
             carriers.iter_mut().zip(&step.forces_n).for_each(|(c, f)| c.force_n = *f);
             let seen = self.candidates(surface, &links, &carriers);
-            let candidates = self.carry_over(&links, &carriers, seen);
+            let candidates = self.carry_over(surface.faceted(), &links, &carriers, seen);
             let next = State { links, candidates };
             let next_balance = self.frictional_balance(&next.links, friction);
             weight = step.forces_n.iter().fold(weight, |w, f| w.max(1.5 * f));
@@ -203,15 +204,18 @@ impl ContactRod {
     /// wire hop between them for ever.
     fn carry_over(
         &self,
+        faceted: bool,
         links: &Configuration,
         carriers: &[ContactCandidate],
         mut seen: Vec<ContactCandidate>,
     ) -> Vec<ContactCandidate> {
         let places = seen.len();
+        // Facets next to each other differ by little and are two all the same; on a smooth body what is seen is where it is.
+        let close = if faceted { SAME_FACET } else { SAME_PLACE };
         for c in carriers.iter().filter(|c| c.force_n > 0.0) {
             let off = |s: &ContactCandidate| (s.place.at - c.place.at).abs();
             let same = |s: &ContactCandidate| {
-                off(s) < SAME_FACET[0] && (s.closest.normal - c.closest.normal).norm() < SAME_FACET[1]
+                off(s) < close[0] && (s.closest.normal - c.closest.normal).norm() < close[1]
             };
             let plane = self.plane_constraint_at(
                 links,
@@ -220,14 +224,14 @@ impl ContactRod {
             let touched = plane.gap_mm.abs() < PLANE_MM;
             let known = seen[..places].iter().position(same);
             let heir = (0..places).min_by(|&a, &b| off(&seen[a]).total_cmp(&off(&seen[b])));
-            let facet = c.closest.second_per_mm == Matrix3::zeros();
+            let facet = faceted && c.closest.second_per_mm == Matrix3::zeros();
             let turned = facet && heir.is_none_or(|h| off(&seen[h]) < TURNED_LINKS);
             if known.is_none() && touched && (c.plane_constraint || turned) {
                 seen.push(plane);
                 continue;
             }
             let heir = heir.filter(|&h| !c.plane_constraint && off(&seen[h]) < 3.0);
-            if let Some(heir) = known.or(heir) {
+            if let Some(heir) = known.filter(|_| faceted).or(heir) {
                 seen[heir].force_n += c.force_n;
             }
         }

@@ -8,6 +8,11 @@ use wcal_sim::ClosestPoint;
 pub trait Surface {
     /// The surface near a point; `None` where it is farther than `within_mm`.
     fn closest_point(&self, point_mm: &Vector3<f64>, within_mm: f64) -> Option<ClosestPoint>;
+
+    /// Whether it is made of flat facets.
+    fn faceted(&self) -> bool {
+        false
+    }
 }
 
 /// A contact.

@@ -10,8 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
-use wcal_acquisition::path_text::{draw, duration_s};
-use wcal_acquisition::plan::Step;
+use wcal_acquisition::plan::{Step, duration_s};
 use wcal_acquisition::record::{RecordRequest, RecordResult, plan_only, record};
 use wcal_acquisition::sweep::{Ending, Progress, StageEnd};
 use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Permission};
@@ -51,7 +50,7 @@ pub struct StageSweepArgs {
     /// Home the stage if it has no reference (moves to the home switch)
     #[arg(long)]
     pub home: bool,
-    /// Check limits and print the path, and what the plan can show of each effect, without moving
+    /// Check limits and print how long it takes, and what the plan can show of each effect, without moving
     #[arg(long)]
     pub dry_run: bool,
     /// Print the result as JSON on stdout
@@ -96,7 +95,6 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         folder: folder.clone(),
         resume,
         home: arguments.home,
-        ask_board,
         created: created(),
         command: std::env::args().collect(),
     };
@@ -257,7 +255,6 @@ fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<Exi
             PathDocument { format: "wcal-path/1", readings, duration_s: time_s, steps, shows: shows.ok() };
         println!("{}", serde_json::to_string(&document)?);
     } else {
-        print!("{}", draw(&steps, &rig));
         println!("{readings} settled readings, about {:.0} min; limits hold", (time_s / 60.0).ceil());
         if let Ok(shows) = &shows {
             print!("{}", crate::plan_check::text(shows)?);
@@ -337,30 +334,20 @@ fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
     tables.map_or(Ok(()), |r| reduce::report(r, false))
 }
 
-/// Asks a person to hold the board before the cameras.
-fn ask_board(view: u32) -> Result<(), DeviceError> {
-    let what = format!("hold the board still before both cameras, attitude {}, no two alike", view + 1);
-    by_hand("cameras", "hold the board", &what)
-}
-
 /// How often somebody who waits for Enter listens for a signal.
 const ENTER_POLL: Duration = Duration::from_millis(50);
 
-fn no_person(device: &str, action: &str) -> DeviceError {
-    let (kind, found) = (DeviceErrorKind::Configuration, "an input that is no terminal");
-    DeviceError::new(kind, device, action, "a person at the terminal", found)
+/// Nobody turned the mount.
+fn not_turned(kind: DeviceErrorKind, found: &str) -> DeviceError {
+    DeviceError::new(kind, "mount", "turn by hand", "a person at the terminal", found)
 }
 
-/// Asks a person to do something and waits for Enter.
-fn by_hand(device: &str, action: &str, what: &str) -> Result<(), DeviceError> {
-    if !std::io::stdin().is_terminal() {
-        return Err(no_person(device, action));
-    }
-    let refuse = |found: &str| {
-        DeviceError::new(DeviceErrorKind::Interrupted, device, action, "a person at the terminal", found)
-    };
+/// Asks a person to turn the mount and waits for Enter.
+fn by_hand(trajectory: u32) -> Result<(), DeviceError> {
+    let refuse = |found: &str| not_turned(DeviceErrorKind::Interrupted, found);
     // Without a terminal to write to there is nobody to read it either.
-    let _ = std::io::stderr().write_all(format!("\n{what}, then press Enter ").as_bytes());
+    let question = format!("\nturn the mount to trajectory {trajectory}, then press Enter ");
+    let _ = std::io::stderr().write_all(question.as_bytes());
     // The line is read in a thread of its own: a read from a terminal does not end with a signal.
     let (sender, receiver) = channel();
     std::thread::spawn(move || {
@@ -387,7 +374,7 @@ impl Mount for ByHand {
     fn check(&mut self, trajectories: &[u32], _: Permission) -> Result<(), DeviceError> {
         let several = trajectories.iter().any(|t| Some(t) != trajectories.first());
         match several && !std::io::stdin().is_terminal() {
-            true => Err(no_person("mount", "turn by hand")),
+            true => Err(not_turned(DeviceErrorKind::Configuration, "an input that is no terminal")),
             false => Ok(()),
         }
     }
@@ -399,7 +386,7 @@ impl Mount for ByHand {
             );
             return Ok(());
         }
-        by_hand("mount", "turn by hand", &format!("turn the mount to trajectory {trajectory}"))
+        by_hand(trajectory)
     }
 }
 

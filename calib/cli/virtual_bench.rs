@@ -12,7 +12,7 @@ use std::sync::Arc;
 use wcal_bench::rod::Wire;
 use wcal_bench::table::{Path as GroovePath, Table};
 use wcal_drivers::bench::plant::{Plant, rest_arclength_mm};
-use wcal_drivers::bench::scenario::{PlantKind, Scenario};
+use wcal_drivers::bench::scenario::Scenario;
 use wcal_drivers::bench::scene::Scene;
 use wcal_drivers::bench::{VirtualBench, faults};
 
@@ -35,18 +35,13 @@ pub struct VirtualBenchArgs {
     pub seed: Option<u64>,
 }
 
-/// A scenario and the wire that it describes; none where the bench brings its own.
-pub(crate) fn load(path: &Path) -> Result<(Scenario, Option<Box<dyn Plant>>)> {
+/// A scenario and the wire that it describes.
+pub(crate) fn load(path: &Path) -> Result<(Scenario, Box<dyn Plant>)> {
     let place = path.display();
     let text = wcal_core::files::read_text(path).with_context(|| format!("reading {place}"))?;
     let scenario = Scenario::parse(&text).map_err(|e| anyhow::anyhow!("{place}: {e}"))?;
-    let plant: Option<Box<dyn Plant>> = match scenario.plant {
-        PlantKind::Cantilever => None,
-        PlantKind::Rod => {
-            Some(Box::new(RodPlant::new(&scenario).with_context(|| format!("{place}: the wire"))?))
-        }
-    };
-    Ok((scenario, plant))
+    let plant = RodPlant::new(&scenario).with_context(|| format!("{place}: the wire"))?;
+    Ok((scenario, Box::new(plant)))
 }
 
 /// Prints one JSON line of addresses, then obeys fault commands from its input until that closes. Exit code 3: the bench fell behind.

@@ -3,13 +3,13 @@
 #![allow(clippy::print_stdout, reason = "an example talks to its user")]
 
 use wcal_core::observation::WhiskerSpec;
-use wcal_lab::dataset::rod_comparison::Printed;
+use wcal_lab_sweeps::convex::Convex;
+use wcal_lab_sweeps::rod_comparison::ComparisonSum;
+use wcal_lab_sweeps::rod_engine::LINKS;
+use wcal_lab_sweeps::{CableEngine, RodEngine, Sweep, SweepPlan, objects};
 use wcal_mujoco::MujocoEngine;
 use wcal_mujoco::compare::statics;
-use wcal_mujoco::convex::Convex;
 use wcal_mujoco::mjcf::MjcfOptions;
-use wcal_mujoco::rod_comparison::compare_speeds;
-use wcal_sim::{SweepPlan, objects};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let words: Vec<String> = std::env::args().skip(1).collect();
@@ -46,14 +46,21 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
         bodies.push((mesh, convex));
     }
-    let found = compare_speeds(
-        &whisker,
-        &options,
-        &bodies,
-        &SweepPlan::default(),
-        &[3.2, 5.0, 7.7, 14.0],
-        sweeps.parse()?,
-    )?;
-    print!("{}", Printed(&found));
+    const SPEEDS_MM_S: [f64; 4] = [3.2, 5.0, 7.7, 14.0];
+    let rod = RodEngine::new(&whisker, LINKS)?;
+    let mut cable = CableEngine::start(&whisker, &options)?;
+    let mut sum = ComparisonSum::new(SPEEDS_MM_S.map(|v| [v; 2]).to_vec());
+    for speed in SPEEDS_MM_S {
+        let plan = SweepPlan { speed_mm_s: [speed; 2], acceleration_mm_s2: 0.0, ..SweepPlan::default() };
+        for (mesh, convex) in &bodies {
+            for index in 0..sweeps.parse()? {
+                let Some(sweep) = Sweep::draw(mesh, &plan, 1, index, rod.reach_mm()) else { continue };
+                let quasi = rod.run(mesh, &sweep, &plan);
+                let dynamic = cable.run(mesh, &convex.corners(), &sweep, &plan)?;
+                sum.add(&dynamic, &quasi);
+            }
+        }
+    }
+    print!("{}", sum.table());
     Ok(())
 }

@@ -14,8 +14,9 @@ use wcal_lab::bootstrap::mean_interval95;
 use wcal_lab::evaluate::{Method, ObjectScores, score_objects};
 use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_lab::model_file::{Card, load};
-use wcal_sim::physics::{Medium, PhysicsPlan};
-use wcal_sim::{Mesh, SweepPlan, Turn, objects};
+use wcal_lab_sweeps::physics::{Medium, PhysicsPlan};
+use wcal_lab_sweeps::{SweepPlan, Turn, objects};
+use wcal_sim::Mesh;
 use wcal_track::Tracker;
 
 type Failure = Box<dyn std::error::Error>;

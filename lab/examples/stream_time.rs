@@ -11,7 +11,7 @@ use wcal_lab::SweepSeries;
 use wcal_lab::dataset::thread_s;
 use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_lab::model_file::load;
-use wcal_sim::{SweepPlan, objects};
+use wcal_lab_sweeps::{SweepPlan, objects};
 use wcal_track::network::FeatureExtractor;
 use wcal_track::{Sample, Tracker};
 

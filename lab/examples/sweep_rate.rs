@@ -4,8 +4,9 @@
 
 use std::collections::BTreeMap;
 use wcal_core::observation::WhiskerSpec;
-use wcal_sim::rod_engine::LINKS;
-use wcal_sim::{Mesh, RodEngine, Sweep, SweepPlan, objects};
+use wcal_lab_sweeps::rod_engine::LINKS;
+use wcal_lab_sweeps::{RodEngine, Sweep, SweepPlan, objects};
+use wcal_sim::Mesh;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut words = std::env::args().skip(1);

@@ -49,19 +49,6 @@ pub enum LabError {
         /// What it is.
         found: String,
     },
-    /// A folder whose recipe is of an earlier format.
-    #[error(
-        "{}: expected a recipe of format {expected}, found {found}: an earlier version of wcal made this dataset, and its identity cannot be \
-         compared; training and evaluation read it as it is, make more sweeps in another folder", folder.display()
-    )]
-    EarlierRecipe {
-        /// Which.
-        folder: PathBuf,
-        /// Format that is written now.
-        expected: &'static str,
-        /// Format that is there.
-        found: String,
-    },
     /// A folder that holds another dataset, or several.
     #[error("{}: expected one dataset, found another or a mixture ({differences}); use another folder", folder.display())]
     Mixture {

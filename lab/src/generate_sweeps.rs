@@ -6,8 +6,9 @@ use crate::sweep_series::{count_contacts, nearest_contact};
 use nalgebra::{Isometry3, Rotation3, Translation3, UnitQuaternion};
 use rayon::prelude::*;
 use wcal_core::observation::WhiskerSpec;
-use wcal_sim::rod_engine::{LINKS, Run};
-use wcal_sim::{Mesh, RodEngine, Sample, Sweep, SweepPlan, Verdict};
+use wcal_lab_sweeps::rod_engine::{LINKS, Run};
+use wcal_lab_sweeps::{RodEngine, Sample, Sweep, SweepPlan, Verdict};
+use wcal_sim::Mesh;
 
 /// What to simulate.
 #[derive(Debug, Clone)]

@@ -4,8 +4,8 @@
 //! - `friction`: turned at random, friction 0 to 0.3, the wire's weight, and the drag of air
 //! - `upright`: as `clean`, upright in four faces a quarter turn apart; a quarter as many, since only plane and gap are left to draw
 
-use wcal_sim::physics::{Medium, PhysicsPlan};
-use wcal_sim::{SweepPlan, Turn};
+use wcal_lab_sweeps::physics::{Medium, PhysicsPlan};
+use wcal_lab_sweeps::{SweepPlan, Turn};
 
 /// Coefficients of friction.
 const FRICTION: [f64; 2] = [0.0, 0.3];

@@ -15,9 +15,9 @@ use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_core::stream::Flags;
 use wcal_lab::SweepSeries;
 use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
+use wcal_lab_sweeps::physics::PhysicsPlan;
+use wcal_lab_sweeps::{SweepPlan, objects};
 use wcal_rod::Rod;
-use wcal_sim::physics::PhysicsPlan;
-use wcal_sim::{SweepPlan, objects};
 use wcal_track::Tracker;
 use wcal_track::model_file::{Card, load};
 

@@ -11,7 +11,7 @@ use wcal_core::observation::WhiskerSpec;
 use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_lab::model_file::{preset, put_weights, read_card, runnable};
 use wcal_lab::network::{TrainableNet, attention_bias};
-use wcal_sim::{SweepPlan, objects};
+use wcal_lab_sweeps::{SweepPlan, objects};
 use wcal_track::filter::{BayesSettings, FilterBank};
 use wcal_track::network::{FeatureExtractor, KvCache, NetworkConfig};
 use wcal_track::{InverseGrid, StaticInverse};

@@ -8,8 +8,9 @@ use wcal_lab::dataset::{Dataset, RodSweeps};
 use wcal_lab::evaluate::{Method, score_objects};
 use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_lab::sweep_series::{self, SweepSeries};
-use wcal_sim::physics::{Medium, PhysicsPlan};
-use wcal_sim::{Mesh, SweepPlan, objects};
+use wcal_lab_sweeps::physics::{Medium, PhysicsPlan};
+use wcal_lab_sweeps::{SweepPlan, objects};
+use wcal_sim::Mesh;
 use wcal_track::filter::BayesSettings;
 use wcal_track::{InverseGrid, StaticInverse};
 

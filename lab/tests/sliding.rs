@@ -13,9 +13,9 @@ use wcal_contact::sliding::{SlidingContact, TouchedWire, locate_sliding};
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
 use wcal_lab::SweepSample;
 use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
+use wcal_lab_sweeps::SweepPlan;
+use wcal_lab_sweeps::objects::built_in;
 use wcal_rod::Shape;
-use wcal_sim::SweepPlan;
-use wcal_sim::objects::built_in;
 
 const OBJECTS: [&str; 8] = ["ball", "block", "bottle", "hexagon-bar", "can", "vase", "wedge", "rock"];
 const DIRECTIONS_DEG: [f64; 4] = [0.0, 90.0, 200.0, 300.0];

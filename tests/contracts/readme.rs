@@ -283,7 +283,7 @@ fn the_pictures_run_and_mark_what_they_leave() {
 #[test]
 fn the_sweeps_run_and_mark_what_they_leave() {
     let folder = after(TRACKING);
-    assert!(marked(folder.path(), "sweeps/report.html"));
+    assert_eq!(json(folder.path(), "sweeps/dataset.json")["simulated"], true);
 }
 
 #[test]

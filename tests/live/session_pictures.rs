@@ -1,6 +1,7 @@
 //! From a sweep with pictures to shapes in the session, through the program alone: virtual bench, board pictures, `stereo-calibrate`,
 //! `stereo-shape SESSION` (SIMULATED). The bench's camera faults and spoilt pictures are the negative controls.
 
+use crate::support::board_pictures::board_pictures;
 use crate::support::copy::copy_folder;
 use crate::support::virtual_bench::{VirtualBench, rig_at};
 use crate::support::{code_and_messages, program, text};
@@ -15,7 +16,7 @@ use wcal_core::shapes_document::{PairDocument, ShapesDocument};
 /// Bench seconds per wall second.
 const SPEED: f64 = 4.0;
 /// Three trajectories, two depths each; one depth of another is sealed.
-const PLAN: &str = "format = \"wcal-plan/1\"\nname = \"short\"\nboard_views = 12\nsync_move = false\n\
+const PLAN: &str = "format = \"wcal-plan/1\"\nname = \"short\"\nsync_move = false\n\
     [settle]\ngate_pm_per_s = 5.0\nwindow_s = 0.4\n\
     [[block]]\nrole = \"calibration\"\ntrajectories = [1, 5, 9]\ndepths_mm = [2.0, 4.5]\ndwell_s = 0.4\naverage_s = 0.3\n\
     [[block]]\nrole = \"holdout\"\ntrajectories = [9]\ndepths_mm = [3.0, 4.0]\nrest = false\ndwell_s = 0.4\naverage_s = 0.3\n";
@@ -54,7 +55,7 @@ impl Bench {
 
     /// A short sweep; `fault` is typed once `after` steps are done. Exit code and messages.
     fn with_fault(&mut self, session: &str, fault: &str, after: usize) -> (i32, String) {
-        let plan = PLAN.replace("board_views = 12", "").replace("[1, 5, 9]", "[5]");
+        let plan = PLAN.replace("[1, 5, 9]", "[5]");
         let plan = plan[..plan.rfind("[[block]]").unwrap()].to_owned();
         let child = self.begin(session, &plan);
         let recording = PathBuf::from(self.at(session)).join("recording.mcap");
@@ -113,12 +114,14 @@ fn a_sweep_with_pictures_becomes_a_session_with_shapes() {
     let said = |what: &str| println!("{:5.1} s  {what}", start.elapsed().as_secs_f64());
     let mut bench = Bench::start();
     let (session, cameras) = (bench.at("session"), bench.at("cameras"));
+    let addresses: Value = serde_json::from_slice(&std::fs::read(&bench.served.addresses).unwrap()).unwrap();
+    let board = bench.folder.path().join("board");
+    board_pictures([0, 1].map(|k| addresses["cameras"][k].as_str().unwrap()), &board, 12).unwrap();
+    said("board pictured");
     let (code, text) = ended(bench.begin("session", PLAN));
     assert!(code == 0, "{text}");
     said("swept");
-    let board = |side: &str| format!("{session}/pictures/board/{side}");
-    let (left, right) = (board("left"), board("right"));
-    assert_eq!(std::fs::read_dir(&left).unwrap().count(), 12);
+    let [left, right] = ["left", "right"].map(|side| board.join(side).display().to_string());
     let (code, text) = code_and_messages(&[
         "stereo-calibrate",
         &left,

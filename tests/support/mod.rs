@@ -1,5 +1,6 @@
 //! What the tests of all targets share: the program, the repository's files, a virtual bench.
 
+pub mod board_pictures;
 pub mod copy;
 pub mod drawn_boards;
 pub mod not_run;

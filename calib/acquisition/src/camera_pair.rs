@@ -46,14 +46,6 @@ impl CameraPair {
         Ok([first.identity()?, second.identity()?])
     }
 
-    /// Asks the bench to hold up the calibration board, or to take it away; false where a person has to.
-    ///
-    /// # Errors
-    /// When a unit does not take the request.
-    pub fn show_board(&mut self, view: Option<usize>) -> Result<bool, DeviceError> {
-        self.cameras[0].show_board(view)
-    }
-
     /// Host time of the newest frame, s.
     pub fn host_s(&self) -> f64 {
         self.host_s

@@ -6,7 +6,7 @@ use crate::error::AcquisitionError;
 use crate::message::SweepEvent;
 use crate::monitor::Monitor;
 use crate::pictures::PREVIEW_PERIOD_S;
-use crate::recorder::{FramePurpose, Recorder};
+use crate::recorder::Recorder;
 use crate::steps::disk;
 use crate::sweep::{INTERRUPTED, Watched};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,9 +15,9 @@ use std::time::Duration;
 use wcal_core::device::{CameraFrame, DeviceErrorKind};
 
 /// Longest wait for a picture (wall time).
-pub(crate) const PATIENCE: Duration = Duration::from_secs(2);
+const PATIENCE: Duration = Duration::from_secs(2);
 /// Pairs refused in a row that end a sweep: a camera that hangs does not recover.
-pub(crate) const REFUSED_LIMIT: u32 = 5;
+const REFUSED_LIMIT: u32 = 5;
 
 /// Records pairs until `done`: of every frame when it was made, of a settled pose the pair without loss, and small pictures between. A
 /// refused pair is an event and a count; several in a row, a silent or a lost camera end the sweep.
@@ -89,7 +89,7 @@ fn record(
     show: bool,
 ) -> Result<(), AcquisitionError> {
     for (name, frame) in names.iter().zip(&pair.frames) {
-        recorder.frame(name, frame, step.map_or(FramePurpose::Nothing, FramePurpose::Pose))?;
+        recorder.frame(name, frame, step)?;
         if show {
             recorder.preview(name, frame)?;
         }
@@ -98,21 +98,21 @@ fn record(
 }
 
 /// What is known of one camera's time.
-pub(crate) struct CameraClock {
+struct CameraClock {
     clocks: ClockPair,
     /// Host time of the last frame's arrival, s.
     last_host_s: f64,
 }
 
 impl CameraClock {
-    pub(crate) fn new(clock_scale: f64) -> Self {
+    fn new(clock_scale: f64) -> Self {
         Self { clocks: ClockPair::new(clock_scale), last_host_s: f64::NEG_INFINITY }
     }
 
     /// Whether the exposure began after a host time. Frames may wait in a queue, so that their arrival does not give their exposure. Even the
     /// least delayed arrival is late by the exposure itself, which is added. Without a clock of the camera's own a frame is accepted only
     /// when the previous one arrived after that time, too.
-    pub(crate) fn exposed_after(&self, host_s: f64, frame: &CameraFrame) -> bool {
+    fn exposed_after(&self, host_s: f64, frame: &CameraFrame) -> bool {
         let exposure_s = frame.measured_exposure_ms.or(frame.commanded_exposure_ms).unwrap_or(0.0) * 1e-3;
         match (frame.clocks.device_s, self.clocks.device_s(host_s)) {
             (Some(begin_s), Some(wanted_s)) => begin_s >= wanted_s + exposure_s,
@@ -120,7 +120,7 @@ impl CameraClock {
         }
     }
 
-    pub(crate) fn note(&mut self, frame: &CameraFrame) {
+    fn note(&mut self, frame: &CameraFrame) {
         self.last_host_s = frame.clocks.host_s;
         if let Some(device_s) = frame.clocks.device_s {
             self.clocks.add(frame.clocks.host_s, device_s);

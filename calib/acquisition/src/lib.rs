@@ -5,7 +5,6 @@
 //! [`replay`] reads a recording back; [`reduce`] makes the tables of it. Live and replayed devices run the same code.
 
 pub mod assign;
-pub mod board_run;
 pub mod camera_pair;
 mod camera_watch;
 pub mod clock_watch;
@@ -16,7 +15,6 @@ pub mod limits;
 mod make_safe;
 pub mod message;
 pub mod monitor;
-pub mod path_text;
 pub mod pictures;
 pub mod plan;
 pub mod pose_pictures;

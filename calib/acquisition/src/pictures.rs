@@ -109,8 +109,8 @@ impl PartClocks {
 }
 
 /// Writes the pictures of the settled poses, bit for bit as they were recorded: `pictures/CAMERA/PPPPP.png` for the rows of points.csv with
-/// `pictures/pictures.csv` (with the identifier of the `session`), the same under `pictures/holdout/` for those of holdout.csv, and `pictures/board/CAMERA/VV.png` of the calibration board. Returns how many
-/// of poses were written.
+/// `pictures/pictures.csv` (with the identifier of the `session`), the same under `pictures/holdout/` for those of holdout.csv. Returns how many were
+/// written.
 ///
 /// # Errors
 /// When a recording cannot be read or a file not be written.
@@ -132,7 +132,7 @@ pub fn write_pictures(
         let mut expected: HashMap<(String, u64), FrameInfo> = HashMap::new();
         let mut failed = None;
         read(path, |message| match message {
-            Message::Frame(info) if info.step.or(info.board).is_some() => {
+            Message::Frame(info) if info.step.is_some() => {
                 expected.insert((info.camera.clone(), crate::message::nanoseconds(info.host_s)), info);
             }
             Message::PosePicture(camera, log_ns, png) => {
@@ -152,10 +152,6 @@ pub fn write_pictures(
                         }
                     }
                 };
-                if let Some(view) = info.board {
-                    put(&folder.join(format!("{PICTURES}/board/{camera}/{view:02}.png")));
-                    return;
-                }
                 let Some(row) = info.step.and_then(|step| by_step.get(&step)) else { return };
                 let file = format!("{camera}/{:05}.png", row.point);
                 let of = if row.sealed { format!("{PICTURES}/holdout") } else { PICTURES.to_owned() };

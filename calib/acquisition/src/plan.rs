@@ -31,8 +31,6 @@ const RANGES: &[Range] = &[
     Range::real("settle.window_s", 1e-3, DAY_S),
     Range::real("settle.timeout_s", 0.0, 7.0 * DAY_S),
     Range::real("soak_s", 0.0, 7.0 * DAY_S),
-    // More attitudes add no information, and a person cannot hold them all.
-    Range::whole("board_views", 0.0, 100.0),
     Range::real("block.depths_mm", 1e-6, 1e4),
     Range::whole("block.replicates", 1.0, 10_000.0),
     Range::real("block.speeds_mm_s", 1e-6, 1e4),
@@ -61,9 +59,6 @@ pub struct Plan {
     /// Wait before the first pose until the signal has settled at rest, at most this long, s.
     #[serde(default)]
     pub soak_s: f64,
-    /// Attitudes of the calibration board that are pictured before anything moves; 0: none.
-    #[serde(default)]
-    pub board_views: u32,
     /// A small move at start and end that determines the delay between stage and interrogator.
     #[serde(default = "yes")]
     pub sync_move: bool,
@@ -386,10 +381,36 @@ impl Block {
     }
 }
 
+/// Rough time that the steps take, s.
+pub fn duration_s(steps: &[Step], rig: &Rig, plan: &Plan) -> f64 {
+    let mut at_mm = rig.stage.retract_mm;
+    steps
+        .iter()
+        .map(|step| match step {
+            Step::Soak => plan.soak_s,
+            Step::Sync { .. } => 3.0,
+            Step::Mount { .. } => {
+                let away = (at_mm - rig.stage.retract_mm).abs() / rig.stage.speed_mm_s;
+                at_mm = rig.stage.retract_mm;
+                away + 1.0
+            }
+            Step::Settled(pose) => {
+                let travel = (pose.stage_mm - at_mm).abs() / pose.speed_mm_s;
+                at_mm = pose.stage_mm;
+                travel + pose.dwell_s + pose.average_s
+            }
+            Step::Moving { from_mm, pose, .. } => {
+                let travel = (from_mm - at_mm).abs() + (pose.stage_mm - from_mm).abs();
+                at_mm = pose.stage_mm;
+                travel / pose.speed_mm_s + 0.5
+            }
+        })
+        .sum()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::path_text::draw;
 
     const PLAN: &str = "format = \"wcal-plan/1\"\nname = \"p\"\n[[block]]\nrole = \"calibration\"\ntrajectories = [1]\ndepths_mm = [1, 3, 5]\n";
 
@@ -407,7 +428,6 @@ mod tests {
         assert_eq!((settled, moving), (4 * (1 + 3 + 2), 4 * 2));
         let sync = Step::Sync { depths_mm: [-0.5, 1.0] };
         assert_eq!(steps.iter().filter(|s| **s == sync).count(), 2);
-        assert!(draw(&steps, &rig()).contains("trajectory   1"));
     }
 
     /// Every position that the steps command, mm of the stage's own scale.
@@ -468,12 +488,6 @@ mod tests {
             ("wcal-plan/1", "wcal-plan/3", "wcal-plan/1"),
             ("depths_mm = [1, 3, 5]", "depths_mm = [1]\nspeeds_mm_s = [99]", "speeds up to"),
             ("depths_mm", "depth_mm", "plan file"),
-            (
-                "name = \"p\"",
-                "name = \"p\"\nboard_views = 1000",
-                "board_views: expected a whole number between 0 and 100",
-            ),
-            ("name = \"p\"", "name = \"p\"\nboard_views = -1", "board_views"),
         ] {
             let error = plan(from, to).unwrap_err().to_string();
             assert!(error.contains(word), "{word}: {error}");

@@ -5,6 +5,8 @@
 
 use crate::error::AcquisitionError;
 use crate::pictures::PICTURES;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use wcal_core::files::read_within;
@@ -49,7 +51,7 @@ pub fn pose_pairs(
         }
     }
     let mut pairs: BTreeMap<i64, PosePair> = BTreeMap::new();
-    for line in read_pictures(&list)? {
+    for line in table(&list, |l: &Line| (l.point, vec![l.t_s]))? {
         let file = format!("{}/{:05}.png", line.camera, line.point);
         let Some(camera) = cameras.iter().position(|name| *name == line.camera && line.file == file) else {
             let place = format!("{}: point {}", list.display(), line.point);
@@ -92,6 +94,7 @@ struct PoseDwell {
 }
 
 /// A line of pictures.csv.
+#[derive(Deserialize)]
 struct Line {
     point: i64,
     camera: String,
@@ -99,6 +102,15 @@ struct Line {
     t_s: Option<f64>,
     session: Option<String>,
     sha256: Option<String>,
+}
+
+/// What is needed of a line of points.csv or holdout.csv.
+#[derive(Deserialize)]
+struct PointLine {
+    point: i64,
+    t_s: Option<f64>,
+    dwell_s: Option<f64>,
+    groove_x_mm: Option<f64>,
 }
 
 /// Why a file is not the picture that the session recorded.
@@ -128,92 +140,41 @@ fn bytes(path: &Path) -> Result<Vec<u8>, AcquisitionError> {
     read_within(path, MAX_BYTES).map_err(AcquisitionError::io("reading", path))
 }
 
-/// A table with its header: cells by the names of columns.
-struct Cells {
-    place: String,
-    header: Vec<String>,
-    rows: Vec<csv::StringRecord>,
-}
-
-impl Cells {
-    fn read(path: &Path) -> Result<Self, AcquisitionError> {
-        let place = path.display().to_string();
-        let bytes = bytes(path)?;
-        let mut reader = csv::ReaderBuilder::new().from_reader(bytes.as_slice());
-        let wrong = |e: csv::Error| AcquisitionError::input(&place, "a CSV table", e.to_string());
-        let header = reader.headers().map_err(wrong)?.iter().map(|c| c.trim().to_owned()).collect();
-        let rows = reader.records().collect::<Result<_, _>>().map_err(wrong)?;
-        Ok(Self { place, header, rows })
-    }
-
-    fn column(&self, name: &str) -> Option<usize> {
-        self.header.iter().position(|c| c == name)
-    }
-
-    fn required(&self, name: &str) -> Result<usize, AcquisitionError> {
-        let found =
-            || AcquisitionError::input(&self.place, format!("a column {name}"), self.header.join(","));
-        self.column(name).ok_or_else(found)
-    }
-
-    /// The number in a cell; none where it is empty or the table lacks the column.
-    fn number(&self, row: usize, column: Option<usize>) -> Result<Option<f64>, AcquisitionError> {
-        let text = column.and_then(|c| self.rows[row].get(c)).unwrap_or_default().trim();
-        if text.is_empty() {
-            return Ok(None);
-        }
-        match text.parse::<f64>() {
-            Ok(v) if v.is_finite() => Ok(Some(v)),
-            _ => Err(AcquisitionError::input(format!("{}, line {}", self.place, row + 2), "a number", text)),
-        }
-    }
-
-    fn point(&self, row: usize, column: usize) -> Result<i64, AcquisitionError> {
-        let text = self.rows[row].get(column).unwrap_or_default().trim();
-        let place = || format!("{}, line {}", self.place, row + 2);
+/// The lines of a table by the names of its columns; `numbers`: a line's point, and what else must be finite.
+fn table<T: DeserializeOwned>(
+    path: &Path,
+    numbers: impl Fn(&T) -> (i64, Vec<Option<f64>>),
+) -> Result<Vec<T>, AcquisitionError> {
+    let place = path.display().to_string();
+    let bytes = bytes(path)?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes.as_slice());
+    let wrong =
+        |e: csv::Error| AcquisitionError::input(&place, "a CSV table with these columns", e.to_string());
+    let lines: Vec<T> = reader.deserialize().collect::<Result<_, _>>().map_err(wrong)?;
+    for (row, line) in lines.iter().enumerate() {
+        let (point, others) = numbers(line);
+        let at = || format!("{place}, line {}", row + 2);
         // Characters that a file's name may have.
-        text.parse()
-            .ok()
-            .filter(|p| (0..100_000).contains(p))
-            .ok_or_else(|| AcquisitionError::input(place(), "a point from 0 to 99999", text))
+        if !(0..100_000).contains(&point) {
+            return Err(AcquisitionError::input(at(), "a point from 0 to 99999", point.to_string()));
+        }
+        if let Some(odd) = others.into_iter().flatten().find(|v| !v.is_finite()) {
+            return Err(AcquisitionError::input(at(), "a number", odd.to_string()));
+        }
     }
-
-    fn text(&self, row: usize, column: Option<usize>) -> Option<String> {
-        let text = self.rows[row].get(column?)?.trim();
-        (!text.is_empty()).then(|| text.to_owned())
-    }
+    Ok(lines)
 }
 
 fn read_stands(path: &Path, sealed: bool) -> Result<Vec<PoseDwell>, AcquisitionError> {
-    let table = Cells::read(path)?;
-    let point = table.required("point")?;
-    let [t_s, dwell_s, groove] = ["t_s", "dwell_s", "groove_x_mm"].map(|name| table.column(name));
-    (0..table.rows.len())
-        .map(|row| {
-            let from_s = table.number(row, t_s)?.zip(table.number(row, dwell_s)?).map(|(t, dwell)| t - dwell);
-            let loaded = table.number(row, groove)?.is_some();
-            Ok(PoseDwell { sealed, point: table.point(row, point)?, from_s, loaded })
-        })
-        .collect()
-}
-
-fn read_pictures(path: &Path) -> Result<Vec<Line>, AcquisitionError> {
-    let table = Cells::read(path)?;
-    let [point, camera, file] =
-        [table.required("point")?, table.required("camera")?, table.required("file")?];
-    let [t_s, session, sha256] = ["t_s", "session", "sha256"].map(|name| table.column(name));
-    (0..table.rows.len())
-        .map(|row| {
-            Ok(Line {
-                point: table.point(row, point)?,
-                camera: table.text(row, Some(camera)).unwrap_or_default(),
-                file: table.text(row, Some(file)).unwrap_or_default(),
-                t_s: table.number(row, t_s)?,
-                session: table.text(row, session),
-                sha256: table.text(row, sha256),
-            })
-        })
-        .collect()
+    let lines: Vec<PointLine> =
+        table(path, |l: &PointLine| (l.point, vec![l.t_s, l.dwell_s, l.groove_x_mm]))?;
+    let stand = |l: PointLine| PoseDwell {
+        sealed,
+        point: l.point,
+        from_s: l.t_s.zip(l.dwell_s).map(|(t, dwell)| t - dwell),
+        loaded: l.groove_x_mm.is_some(),
+    };
+    Ok(lines.into_iter().map(stand).collect())
 }
 
 #[cfg(test)]

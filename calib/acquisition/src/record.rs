@@ -2,7 +2,6 @@
 
 use crate::AcquisitionError;
 use crate::assign::ChannelMap;
-use crate::board_run::{BoardRun, shown_before};
 use crate::camera_pair::CameraPair;
 use crate::camera_watch::watch;
 use crate::limits::{LimitedStage, Limits};
@@ -160,21 +159,6 @@ pub fn record(
     let recorder = Recorder::create(&begun.makes(&name), about)?;
     // Everything is open: from here on there is something to keep.
     begun.keep();
-    if plan.board_views > 0 {
-        let Some(pair) = &mut cameras else {
-            let found = "a rig without cameras";
-            return Err(AcquisitionError::input("plan: board_views", "a rig with two cameras", found));
-        };
-        let mut board = BoardRun {
-            pair,
-            names: &names,
-            recorder: &recorder,
-            clock,
-            clock_scale: rig.clock_scale,
-            interrupt,
-        };
-        board.run(plan.board_views, &shown_before(&earlier), request.ask_board)?;
-    }
     let monitor = Mutex::new(Monitor::new(ChannelMap::new(&rig), temperature_ratio(&rig), rig.clock_scale));
     let done = AtomicBool::new(false);
     let mut reopen = || Ok(LimitedStage::new(devices.stage(&rig.stage, clock)?, limits));

@@ -2,8 +2,7 @@
 
 use crate::error::AcquisitionError;
 use crate::message::{
-    CompressedImage, FrameInfo, LogLine, McapMessage, Scan, StagePosition, SweepEvent, nanoseconds, stamp,
-    topic,
+    CompressedImage, FrameInfo, Log, McapMessage, Scan, StagePosition, SweepEvent, nanoseconds, stamp, topic,
 };
 use crate::pictures::{lossless, preview};
 use mcap::records::{MessageHeader, Metadata};
@@ -20,17 +19,6 @@ use wcal_core::device::{CameraFrame, FbgReading, StageReading};
 const FLUSH: Duration = Duration::from_millis(250);
 /// Longest time until the disk itself has it.
 const SYNC: Duration = Duration::from_secs(2);
-
-/// What a frame is recorded for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum FramePurpose {
-    /// Its time alone.
-    Nothing,
-    /// The settled pose of a step.
-    Pose(u32),
-    /// The calibration board in an attitude.
-    Board(u32),
-}
 
 /// How much a line of text matters, by the numbers of `foxglove.Log`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,7 +49,7 @@ struct Open {
 impl Open {
     fn write<M: McapMessage>(&mut self, topic: &str, message: &M, host_s: f64) -> McapResult<()> {
         if !self.channels.contains_key(topic) {
-            let schema = self.writer.add_schema(M::NAME, "protobuf", &M::schema())?;
+            let schema = self.writer.add_schema(&M::full_name(), "protobuf", M::schema())?;
             let channel = self.writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())?;
             self.channels.insert(topic.to_owned(), (channel, 0));
         }
@@ -169,7 +157,7 @@ impl Recorder {
     /// # Errors
     /// When the disk does not take it.
     pub fn text(&self, host_s: f64, level: Level, text: &str) -> Result<(), AcquisitionError> {
-        let line = LogLine {
+        let line = Log {
             timestamp: Some(stamp(host_s)),
             level: level as i32,
             message: text.to_owned(),
@@ -178,21 +166,11 @@ impl Recorder {
         self.message(topic::LOG, &line, host_s)
     }
 
-    /// Records the arrival of a frame and, where it shows a settled pose or the board, the picture without loss.
+    /// Records the arrival of a frame and, where it shows the settled pose of a step, the picture without loss.
     ///
     /// # Errors
     /// When the frame cannot be stored or the disk does not take it.
-    pub fn frame(
-        &self,
-        name: &str,
-        frame: &CameraFrame,
-        shows: FramePurpose,
-    ) -> Result<(), AcquisitionError> {
-        let (step, board) = match shows {
-            FramePurpose::Nothing => (None, None),
-            FramePurpose::Pose(step) => (Some(step), None),
-            FramePurpose::Board(view) => (None, Some(view)),
-        };
+    pub fn frame(&self, name: &str, frame: &CameraFrame, step: Option<u32>) -> Result<(), AcquisitionError> {
         let info = FrameInfo {
             camera: name.to_owned(),
             trigger: frame.trigger,
@@ -200,10 +178,9 @@ impl Recorder {
             device_s: frame.clocks.device_s,
             exposure_s: frame.measured_exposure_ms.or(frame.commanded_exposure_ms).map(|ms| ms * 1e-3),
             step,
-            board,
         };
         self.message(topic::FRAME, &info, frame.clocks.host_s)?;
-        if shows != FramePurpose::Nothing {
+        if step.is_some() {
             self.picture(&format!("{}{name}", topic::POSE_PICTURE), name, frame, "png", lossless(frame)?)?;
         }
         Ok(())

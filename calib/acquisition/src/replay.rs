@@ -4,7 +4,8 @@ use crate::error::AcquisitionError;
 use crate::message::{
     CompressedImage, FrameInfo, RecordedMessage, Scan, StagePosition, SweepEvent, judge_timestamp, topic,
 };
-use mcap::records::op;
+use mcap::parse_record;
+use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use prost::Message as _;
 use std::collections::HashMap;
@@ -82,21 +83,28 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Acquisiti
                 let count = file.read(reader.insert(need)).map_err(AcquisitionError::io("reading", path))?;
                 reader.notify_read(count);
             }
-            Ok(LinearReadEvent::Record { opcode: op::CHUNK, data }) => match Chunk::parse(data) {
-                // A chunk is checked before any of its messages is given: a wrong bit must not pass as data.
-                Some(Chunk::Records(records)) => {
-                    let mut whole = true;
-                    for (opcode, body) in records {
-                        whole &= topics.give(path, opcode, body, &mut take)?;
-                    }
-                    end.damaged_chunks += u64::from(!whole);
-                }
-                Some(Chunk::Compressed(name)) => {
+            Ok(LinearReadEvent::Record { opcode: op::CHUNK, data }) => {
+                let Ok(Record::Chunk { header, data }) = parse_record(op::CHUNK, data) else {
+                    end.damaged_chunks += 1;
+                    continue;
+                };
+                if ["zstd", "lz4"].contains(&header.compression.as_str()) {
                     let expected = "chunks without compression, as wcal records them";
-                    return Err(AcquisitionError::input(path.display().to_string(), expected, name));
+                    return Err(AcquisitionError::input(
+                        path.display().to_string(),
+                        expected,
+                        header.compression,
+                    ));
                 }
-                None => end.damaged_chunks += 1,
-            },
+                // A chunk is checked before any of its messages is given: a wrong bit must not pass as data.
+                let records =
+                    records(&data, header.uncompressed_crc).filter(|_| header.compression.is_empty());
+                let mut whole = records.is_some();
+                for (opcode, body) in records.into_iter().flatten() {
+                    whole &= topics.give(path, opcode, body, &mut take)?;
+                }
+                end.damaged_chunks += u64::from(!whole);
+            }
             Ok(LinearReadEvent::Record { opcode, data }) => {
                 end.damaged_chunks += u64::from(!topics.give(path, opcode, data, &mut take)?);
             }
@@ -117,58 +125,26 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Acquisiti
     Ok(end)
 }
 
-/// A chunk of the file (MCAP specification, "Chunk (op=0x06)").
-enum Chunk<'a> {
-    /// Operation code and body of each record.
-    Records(Vec<(u8, &'a [u8])>),
-    /// Compressed by this algorithm.
-    Compressed(&'static str),
-}
-
-impl<'a> Chunk<'a> {
-    /// None where it is damaged.
-    fn parse(mut chunk: &'a [u8]) -> Option<Self> {
-        // Start and end time of its messages, uncompressed size, checksum, compression, size, records.
-        cut(&mut chunk, 24)?;
-        let checksum = number(cut(&mut chunk, 4)?);
-        let length = number(cut(&mut chunk, 4)?);
-        match cut(&mut chunk, length)? {
-            b"" => {}
-            b"zstd" => return Some(Self::Compressed("zstd")),
-            b"lz4" => return Some(Self::Compressed("lz4")),
-            _ => return None,
-        }
-        let size = number(cut(&mut chunk, 8)?);
-        let mut rest = cut(&mut chunk, size)?;
-        // 0: the writer made no checksum.
-        if checksum != 0 && checksum != u64::from(crc32fast::hash(rest)) {
-            return None;
-        }
-        let mut records = Vec::new();
-        while !rest.is_empty() {
-            let opcode = cut(&mut rest, 1)?[0];
-            let length = number(cut(&mut rest, 8)?);
-            records.push((opcode, cut(&mut rest, length)?));
-        }
-        Some(Self::Records(records))
+/// Operation code and body of each record of a chunk; none where it is damaged.
+fn records(mut rest: &[u8], checksum: u32) -> Option<Vec<(u8, &[u8])>> {
+    // 0: the writer made no checksum.
+    if checksum != 0 && checksum != crc32fast::hash(rest) {
+        return None;
     }
-}
-
-/// Takes `count` bytes off the front; none where there are fewer.
-fn cut<'a>(bytes: &mut &'a [u8], count: u64) -> Option<&'a [u8]> {
-    let (own, rest) = bytes.split_at_checked(usize::try_from(count).ok()?)?;
-    *bytes = rest;
-    Some(own)
-}
-
-/// Up to eight bytes as a little-endian number.
-fn number(bytes: &[u8]) -> u64 {
-    bytes.iter().rev().fold(0, |all, b| all << 8 | u64::from(*b))
+    let mut records = Vec::new();
+    while !rest.is_empty() {
+        let (head, behind) = rest.split_at_checked(9)?;
+        let length = u64::from_le_bytes(head[1..].try_into().ok()?);
+        let (body, behind) = behind.split_at_checked(usize::try_from(length).ok()?)?;
+        records.push((head[0], body));
+        rest = behind;
+    }
+    Some(records)
 }
 
 /// Topics of the channels seen so far.
 #[derive(Default)]
-struct Topics(HashMap<u64, String>);
+struct Topics(HashMap<u16, String>);
 
 impl Topics {
     /// Notes a channel, or gives a message to `take`; false where the record is neither whole nor of a known channel (its channel stood in
@@ -180,44 +156,25 @@ impl Topics {
         body: &[u8],
         take: &mut impl FnMut(Message),
     ) -> Result<bool, AcquisitionError> {
-        match opcode {
-            op::CHANNEL => {
-                let found = channel(body);
-                let whole = found.is_some();
-                self.0.extend(found);
-                Ok(whole)
+        // Of others nothing is read.
+        if ![op::CHANNEL, op::MESSAGE].contains(&opcode) {
+            return Ok(true);
+        }
+        match parse_record(opcode, body) {
+            Ok(Record::Channel(channel)) => {
+                self.0.insert(channel.id, channel.topic);
+                Ok(true)
             }
-            op::MESSAGE => match message(body) {
-                Some((id, log_time, data)) => match self.0.get(&id) {
-                    Some(topic) => {
-                        take(decode(path, topic, log_time, data)?);
-                        Ok(true)
-                    }
-                    None => Ok(false),
-                },
+            Ok(Record::Message { header, data }) => match self.0.get(&header.channel_id) {
+                Some(topic) => {
+                    take(decode(path, topic, header.log_time, &data)?);
+                    Ok(true)
+                }
                 None => Ok(false),
             },
-            _ => Ok(true),
+            _ => Ok(false),
         }
     }
-}
-
-/// Number and topic of a channel record.
-fn channel(mut body: &[u8]) -> Option<(u64, String)> {
-    let id = number(cut(&mut body, 2)?);
-    // The schema's number is not needed: topics determine their messages.
-    cut(&mut body, 2)?;
-    let length = number(cut(&mut body, 4)?);
-    Some((id, String::from_utf8(cut(&mut body, length)?.to_vec()).ok()?))
-}
-
-/// Channel, time (ns) and content of a message record.
-fn message(mut body: &[u8]) -> Option<(u64, u64, &[u8])> {
-    let id = number(cut(&mut body, 2)?);
-    cut(&mut body, 4)?;
-    let log_time = number(cut(&mut body, 8)?);
-    cut(&mut body, 8)?;
-    Some((id, log_time, body))
 }
 
 /// Whether as much of the magic bytes is there as the file's length allows.

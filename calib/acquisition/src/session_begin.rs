@@ -1,7 +1,6 @@
 //! The folder of a session before its first move: locked, new or begun with the same rig and plan, and as it was when nothing comes of it.
 
 use crate::AcquisitionError;
-use crate::board_run::AskBoard;
 use crate::reduce::{recordings, refuse_empty};
 use crate::replay::completed_steps;
 use std::collections::BTreeSet;
@@ -27,8 +26,6 @@ pub struct RecordRequest {
     pub resume: bool,
     /// Search the reference where there is none.
     pub home: bool,
-    /// Asks a person to hold the calibration board, where the plan wants pictures of it and the bench does not do it itself.
-    pub ask_board: AskBoard,
     /// Time of creation, RFC 3339.
     pub created: String,
     /// Command line.

@@ -87,7 +87,7 @@ impl KnownObject {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use wcal_sim::objects;
+    use wcal_lab_sweeps::objects;
 
     /// Points on three faces of a block that stands anywhere.
     #[test]

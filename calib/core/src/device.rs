@@ -354,14 +354,6 @@ pub trait Camera {
     /// # Errors
     /// `Timeout` when none came, `Disconnected` at the end of a folder.
     fn grab(&mut self, timeout: Duration) -> Result<CameraFrame, DeviceError>;
-    /// Asks the bench to hold up its calibration board in an attitude, counted from 0, or (none) to take it away; false where a person
-    /// has to.
-    ///
-    /// # Errors
-    /// `Disconnected` when the request does not get there.
-    fn show_board(&mut self, _view: Option<usize>) -> Result<bool, DeviceError> {
-        Ok(false)
-    }
 }
 
 #[cfg(test)]

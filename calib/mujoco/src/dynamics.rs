@@ -1,7 +1,7 @@
 //! Damping and contact of MuJoCo's wire: the paper's grid from coarse to fine, then NLopt around the best (all SIMULATED trials).
 //!
 //! Judged by the ring-down of a released wire (against a record), the bounce off a plate (half of the undamped wire's, docs/src/system.md), and on
-//! a sweep over a ball against the quasi-static rod: ripple, speed bias, and how deep the wire overlaps the ball.
+//! a sweep over a ball at two speeds: ripple, speed bias, and how deep the wire overlaps the ball.
 //!
 //! min over x of sum_i ((y_i(x) - y_i*) / u_i)^2, x = (damping, width, d0, dmax), y the demands (ring-down as its logarithm) and u the
 //! units that count. Sensitivity: with J the change of y_i / u_i over one step of the grid in each x_k and N = J^T J = V diag(n) V^T, the

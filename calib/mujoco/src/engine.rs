@@ -3,6 +3,7 @@
 //! MuJoCo ends the process on some errors (a plugin that does not load, an inconsistent model) and its library may be missing: behind
 //! a pipe both are errors with a name, and whatever else runs goes on. Units of the protocol are SI, as MuJoCo's; the border is here.
 
+pub mod fluid;
 pub mod protocol;
 
 use crate::TwinError;

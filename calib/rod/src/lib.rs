@@ -9,8 +9,8 @@
 //! - clamp: r(0) = 0, R(0) = R_clamp, turned by compliance times root moment where the root gives way;
 //! - contact: r(s_c) = P and t(s_c) . F = 0 (frictionless groove); the moment at the root is M = P x F.
 //!
-//! [`kirchhoff`] integrates these equations (fourth order) and solves for (F, s_c); [`discrete`] minimises the energy of rigid links
-//! with contacts to any surface; [`fit`] finds the rest shape u0 and the clamp from measured centre lines.
+//! [`kirchhoff`] integrates these equations (fourth order) and solves for (F, s_c); [`discrete`] is the wire as rigid links, and
+//! [`inverse_statics`] their equilibrium under a known force; [`fit`] finds the rest shape u0 and the clamp from measured centre lines.
 //! Lengths in mm, forces in N, moments in N mm, base frame.
 //!
 //! Source: S. S. Antman, "Nonlinear Problems of Elasticity" (2005), ch. VIII.
@@ -19,15 +19,15 @@ pub mod discrete;
 pub mod dual;
 mod error;
 pub mod fit;
+pub mod inverse_statics;
 pub mod kirchhoff;
 pub mod material;
 pub mod shape;
 
-pub use discrete::{
-    ClosestPoint, Configuration, Contact, ContactState, DiscreteRod, FrictionStep, PointLoad, Surface,
-};
+pub use discrete::DiscreteRod;
 pub use error::RodError;
 pub use fit::{MeasuredShape, RestChoice, RestFit, RestModel, fit_rest};
+pub use inverse_statics::PointLoad;
 pub use kirchhoff::broyden::Anchor;
 pub use kirchhoff::continuation::{BranchTracker, Line, Outcome, Touch};
 pub use kirchhoff::integrate;

@@ -31,14 +31,15 @@ pub enum Softening {
 }
 
 impl Softening {
-    pub(crate) fn onset_per_mm(self) -> f64 {
+    /// Change of curvature past which the wire softens, 1/mm.
+    pub fn onset_per_mm(self) -> f64 {
         match self {
             Self::Bilinear { onset_per_m, .. } | Self::Section { onset_per_m, .. } => onset_per_m * 1e-3,
         }
     }
 
     /// Moment over EI times onset, and its slope, at `x` = curvature / onset >= 0.
-    pub(crate) fn relative_moment(self, x: f64) -> (f64, f64) {
+    pub fn relative_moment(self, x: f64) -> (f64, f64) {
         if x <= 1.0 {
             return (x, 1.0);
         }
@@ -56,7 +57,7 @@ impl Softening {
     }
 
     /// Integral of the relative moment up to `x`.
-    pub(crate) fn relative_energy(self, x: f64) -> f64 {
+    pub fn relative_energy(self, x: f64) -> f64 {
         if x <= 1.0 {
             return 0.5 * x * x;
         }

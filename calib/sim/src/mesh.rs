@@ -14,7 +14,6 @@ use parry3d_f64::shape::{TriMesh, TriMeshFlags, TrianglePointLocation};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use wcal_core::provenance::sha256_hex;
-use wcal_rod::ClosestPoint;
 
 /// Sizes (longest side of the box) that an object for a 60 mm whisker may have, mm.
 const SIZE_MM: [f64; 2] = [3.0, 2000.0];
@@ -26,6 +25,19 @@ const CLOSE_MM: f64 = 0.7;
 const DEEP_MM: f64 = 30.0;
 /// Below this distance (mm) the direction to the surface is rounding: the face's own normal is taken.
 const ON_SURFACE_MM: f64 = 1e-9;
+
+/// What a surface tells of a point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ClosestPoint {
+    /// Signed distance, mm: negative inside.
+    pub distance_mm: f64,
+    /// Its gradient: away from the surface.
+    pub normal: Vector3<f64>,
+    /// Nearest point of the surface, mm.
+    pub point_mm: Vector3<f64>,
+    /// Second derivative of the distance, 1/mm.
+    pub second_per_mm: Matrix3<f64>,
+}
 
 /// An object's surface.
 #[derive(Debug, Clone)]
@@ -204,7 +216,7 @@ impl Mesh {
     }
 
     /// The same where a signed distance is known, and how far away from there `p` lies, mm.
-    pub(crate) fn closest_point_from(
+    pub fn closest_point_from(
         &self,
         p: &Vector3<f64>,
         within_mm: f64,

@@ -1,7 +1,6 @@
 //! `wcal-lab evaluate`: a trained tracker beside the baselines, on sweeps that it did not see.
 
 mod bench_calibration;
-mod report;
 mod text;
 
 use super::simulate::MAX_SWEEPS;
@@ -25,8 +24,7 @@ use wcal::track::filters_for;
   wcal-lab evaluate sweeps --model model --meshes ycb/meshes --out evaluation
 
 Scores the objects that the model's card calls unseen, and the sweeps over the other objects that were kept back. Everything here is
-SIMULATED. Intervals are 95 %, by bootstrap over whole objects (means) or over whole sweeps (one object). Writes evaluation.json and
-report.html.")]
+SIMULATED. Intervals are 95 %, by bootstrap over whole objects (means) or over whole sweeps (one object). Writes evaluation.json.")]
 pub struct EvaluateArgs {
     /// Folder of shards from `wcal-lab simulate`
     pub sweeps: PathBuf,
@@ -42,7 +40,7 @@ pub struct EvaluateArgs {
     /// Sweeps over each object at most
     #[arg(long, default_value_t = 10)]
     pub sweeps_each: usize,
-    /// Folder for evaluation.json and report.html
+    /// Folder for evaluation.json
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Overwrite unrelated files
@@ -51,12 +49,9 @@ pub struct EvaluateArgs {
     /// Seed of the virtual bench and of the sweeps that are drawn on the spot
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Leave out the virtual real bench, the tables over speed and medium, and the ablations
+    /// Leave out the virtual bench and the objects set aside for tests
     #[arg(long)]
     pub simulation_only: bool,
-    /// Two objects of each kind, four sweeps over each, no tables over speed and medium: under two minutes on two cores. Intervals are wide, and the result says that it is quick
-    #[arg(long)]
-    pub quick: bool,
     /// Print the document on stdout
     #[arg(long)]
     pub json: bool,
@@ -66,25 +61,11 @@ const RESULT: ResultKind<'_> = ResultKind {
     command: "evaluate",
     document: "evaluation.json",
     format_prefix: "wcal-evaluation/",
-    files: &["report.html"],
+    files: &[],
     kept: &[],
     resumes: false,
     made_of: unsaid,
 };
-/// Objects of each kind and sweeps over each with `--quick`.
-const QUICK: [usize; 2] = [2, 4];
-
-impl EvaluateArgs {
-    /// The arguments with what `--quick` makes of them.
-    fn quickened(&self) -> Self {
-        let mut args = self.clone();
-        if args.quick {
-            (args.objects, args.sweeps_each) = (args.objects.min(QUICK[0]), args.sweeps_each.min(QUICK[1]));
-        }
-        args
-    }
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -92,7 +73,6 @@ impl EvaluateArgs {
 pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     within("--objects", args.objects as u64, MAX_SWEEPS)?;
     within("--sweeps-each", args.sweeps_each as u64, MAX_SWEEPS)?;
-    let args = &args.quickened();
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     let progress = Progress::new("evaluate");
     progress.stage("reading model and sweeps");
@@ -104,13 +84,12 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
         objects: args.objects,
         sweeps_each: args.sweeps_each,
         seed: args.seed,
-        quick: args.quick,
         simulation_only: args.simulation_only,
     };
     let around = Surroundings {
         calibrate: &|session| bench_calibration::calibrate(session, args.seed).map_err(Into::into),
         filters_for,
-        progress: &|stage, done| progress.at(stage, done),
+        progress: &|stage| progress.stage(stage),
         note: &|remark| eprintln!("{remark}"),
         provenance: provenance([args.model.join("model.json").as_path()]),
     };
@@ -119,7 +98,6 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<ExitCode> {
     let document = serde_json::to_value(&document)?;
     let text = format!("{}\n", serde_json::to_string_pretty(&document)?);
     out.put("evaluation.json", text.clone());
-    out.put("report.html", report::page(&document)?);
     out.finish()?;
     if args.json {
         print!("{text}");

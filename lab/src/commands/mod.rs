@@ -2,6 +2,5 @@
 
 pub mod evaluate;
 pub mod exam;
-pub mod page;
 pub mod simulate;
 pub mod train;

@@ -3,23 +3,19 @@
 pub mod document;
 mod inputs;
 mod order;
-mod report;
 pub mod slurm;
 
-use crate::commands::page::render;
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use document::print;
 pub use inputs::whisker;
 pub use order::Order;
-use slurm::RequestOutcome;
 pub use slurm::SlurmArgs;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal::output::{Overwrite, ResultKind, unsaid, within};
-use wcal::picture_output::write;
 use wcal::progress::Progress;
-use wcal_sim::SweepPlan;
+use wcal_lab_sweeps::SweepPlan;
 
 /// Arguments of `wcal-lab simulate`.
 #[derive(Debug, Args)]
@@ -31,8 +27,8 @@ use wcal_sim::SweepPlan;
 Writes for every 25 sweeps over an object three Parquet tables (sweeps, samples, contacts) and a manifest with their checksums, and
 dataset.json. A second run with the same arguments goes on where the first stopped; one with another seed, plan, whisker, engine or other
 objects is refused: one folder, one dataset (recipe.json says which). With --engine mujoco the rod runs on the same sweeps:
-how far moments and contacts are from it, by speed, is printed and goes into dataset.json (against_rod) and the report, with the error of the
-links alone and how far the convex parts are from each mesh. Everything here is SIMULATED. It runs on all
+how far moments and contacts are from it, by speed, is printed and goes into dataset.json (against_rod), with
+how far the convex parts are from each mesh. Everything here is SIMULATED. It runs on all
 cores; RAYON_NUM_THREADS=N asks for N. Exit code 3: made, with objects left out, meshes
 that are not closed or not in millimetres, objects without a usable sweep, or an engine that died; with --check, 4: shards are missing or damaged.")]
 pub struct SimulateArgs {
@@ -69,9 +65,6 @@ pub struct SimulateArgs {
     /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
-    /// Write report.html: counts by verdict and event, objects, sweeps of each kind drawn; no network needed
-    #[arg(long)]
-    pub report: bool,
     /// Print the summary as JSON on stdout
     #[arg(long)]
     pub json: bool,
@@ -94,7 +87,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     command: "simulate",
     document: "*.json",
     format_prefix: "\"wcal-sweep",
-    files: &["*.parquet", "report.html"],
+    files: &["*.parquet"],
     kept: &["convex", "slurm"],
     resumes: true,
     made_of: unsaid,
@@ -120,25 +113,15 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
     let dataset = &order.dataset;
     // Before a job is handed in, and before a check writes its dataset.json over another's.
     dataset.check_folder(&args.out)?;
-    let mut check = args.check;
     if let Some(header) = &args.slurm.slurm {
         match slurm::submit((&args.slurm, header), &args.out, dataset)? {
-            RequestOutcome::Printed => return Ok(ExitCode::SUCCESS),
-            RequestOutcome::Submitted(submission) => {
-                if args.json {
-                    println!("{}", serde_json::to_string_pretty(&submission)?);
-                } else {
-                    submission.print();
-                }
-                return Ok(ExitCode::SUCCESS);
-            }
-            RequestOutcome::Complete => {
-                eprintln!("simulate: every shard is there already: nothing is submitted, only checked");
-                check = true;
-            }
+            None => {}
+            Some(submission) if args.json => println!("{}", serde_json::to_string_pretty(&submission)?),
+            Some(submission) => submission.print(),
         }
+        return Ok(ExitCode::SUCCESS);
     }
-    let (totals, missing) = if check {
+    let (totals, missing) = if args.check {
         let survey = dataset.survey(&args.out)?;
         (survey.totals, survey.missing)
     } else {
@@ -146,10 +129,6 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<ExitCode> {
         (order.make(&args.out, &progress, "sweeps")?, Vec::new())
     };
     let document = order.write_document(args, &totals, missing)?;
-    if args.report {
-        let page = report::page(&document, &args.out, &dataset.shards())?;
-        write(&args.out, "report.html", render(&page).as_bytes())?;
-    }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else {

@@ -2,9 +2,8 @@
 
 mod sweeps;
 
-use super::page::{Curves, Page, PlainTable, render};
 use super::simulate::whisker;
-use crate::model_file::{Card, read_card};
+use crate::model_file::read_card;
 use crate::train::{Pass, TrainSettings, best};
 use crate::train_model::{TrainingRequest, train_model};
 use anyhow::ensure;
@@ -15,7 +14,6 @@ use std::process::ExitCode;
 use sweeps::Sweeps;
 use wcal::output::{Overwrite, ResultKind, unsaid};
 use wcal::progress::Progress;
-use wcal_report::Fact;
 
 /// Arguments of `wcal-lab train`.
 #[derive(Debug, Args)]
@@ -28,8 +26,8 @@ Without a folder of sweeps it makes its own in OUT/sweeps, over the objects of -
 and the drag of air, and upright ones; `wcal-lab evaluate OUT/sweeps/clean --model OUT` scores the model.
 
 Objects are split: some are held out for the early stop and the stated spread, some are never looked at (`wcal-lab evaluate` scores them as
-unseen), and of the others the last tenth of the sweeps is kept back. Writes model.safetensors, model.json (the card), report.html (learning
-curves) and checkpoint/, from which the same command resumes. Everything here is SIMULATED.")]
+unseen), and of the others the last tenth of the sweeps is kept back. Writes model.safetensors, model.json (the card)
+and checkpoint/, from which the same command resumes. Everything here is SIMULATED.")]
 pub struct TrainArgs {
     /// Folder of shards from `wcal-lab simulate`; without it the sweeps are made, too
     pub sweeps: Option<PathBuf>,
@@ -88,7 +86,7 @@ const RESULT: ResultKind<'_> = ResultKind {
     command: "train",
     document: "model.json",
     format_prefix: "wcal-model/",
-    files: &["model.safetensors", "report.html"],
+    files: &["model.safetensors"],
     kept: &["checkpoint", "sweeps"],
     resumes: true,
     made_of: unsaid,
@@ -141,7 +139,6 @@ pub fn run(args: &TrainArgs) -> anyhow::Result<ExitCode> {
         );
     })?;
     drop(progress);
-    wcal::picture_output::write(&args.out, "report.html", page(&card).as_bytes())?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&card)?);
     } else if let Some(best) = best(&card.passes) {
@@ -162,55 +159,4 @@ fn on_pass(pass: &Pass) {
         "pass {:3}: loss {:.3}, held-out {:.3}, RMSE of the contact {:.2} mm{surface}, {:.0} s",
         pass.epoch, pass.loss, pass.held_out_loss, pass.held_out_mm, pass.seconds
     );
-}
-
-/// Learning curves and what was learned from.
-fn page(card: &Card) -> String {
-    let line = |value: fn(&Pass) -> f64| card.passes.iter().map(|p| [p.epoch as f64, value(p)]).collect();
-    let marks: Vec<_> = best(&card.passes).map(|b| (b.epoch as f64, "kept".to_owned())).into_iter().collect();
-    let x = "pass".to_owned();
-    let loss = Curves {
-        title: "Loss (vertical line: the pass that is kept)".into(),
-        x: x.clone(),
-        y: "loss".into(),
-        lines: vec![("training".into(), line(|p| p.loss)), ("held out".into(), line(|p| p.held_out_loss))],
-        marks: marks.clone(),
-    };
-    let off = Curves {
-        title: "RMSE of the true contact, held out".into(),
-        x,
-        y: "RMSE, mm".into(),
-        lines: vec![("held out".into(), line(|p| p.held_out_mm))],
-        marks,
-    };
-    let fact = |name: &str, value: String| Fact::new(name, value);
-    let [training, held_out, unseen] =
-        [&card.objects.training, &card.objects.held_out, &card.objects.unseen].map(Vec::len);
-    let n = card.network;
-    let row = |p: &Pass| {
-        let numbers = [p.loss, p.held_out_loss, p.held_out_mm].map(|v| format!("{v:.3}"));
-        std::iter::once(p.epoch.to_string()).chain(numbers).chain([format!("{:.0}", p.seconds)]).collect()
-    };
-    render(&Page {
-        over: "Contact tracker".into(),
-        title: "Training".into(),
-        facts: vec![
-            fact("weights, SHA-256", card.weights_sha256.clone()),
-            fact("objects", format!("{training} trained on, {held_out} held out, {unseen} unseen")),
-            fact(
-                "network",
-                format!("{} layers, {} heads, width {}, {} inputs", n.layers, n.heads, n.width, n.inputs),
-            ),
-            fact("seed", card.training.seed.to_string()),
-        ],
-        notes: Vec::new(),
-        curves: if card.passes.is_empty() { Vec::new() } else { vec![loss, off] },
-        tables: vec![PlainTable {
-            caption: "Passes".into(),
-            columns: ["pass", "#loss", "#held-out loss", "#held-out RMSE, mm", "#s"]
-                .map(str::to_owned)
-                .into(),
-            rows: card.passes.iter().map(row).collect(),
-        }],
-    })
 }

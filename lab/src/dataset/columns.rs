@@ -1,17 +1,13 @@
-//! Flat Parquet tables: named columns in, bytes out, and back.
+//! Flat Parquet tables: named columns in, bytes out.
 
 use parquet::basic::Compression;
 use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, Int64Type};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
-use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::file::writer::SerializedFileWriter;
-use parquet::record::Field;
 use parquet::schema::parser::parse_message_type;
-use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::path::Path;
 use std::sync::Arc;
 
 /// Values of a column, one a row.
@@ -73,49 +69,4 @@ pub fn to_bytes(columns: &[(&str, Column)], about: &[(&str, String)]) -> Result<
     group.close()?;
     file.close()?;
     Ok(bytes)
-}
-
-/// The columns of a table by name. A column of numbers comes as [`Column::Maybe`] whether values are missing or not.
-///
-/// # Errors
-/// Where the file is no such table.
-pub fn read(path: &Path) -> Result<BTreeMap<String, Column>, ParquetError> {
-    let file = wcal_core::files::open(path).map_err(|e| ParquetError::General(e.to_string()))?;
-    let mut columns: BTreeMap<String, Column> = BTreeMap::new();
-    for row in SerializedFileReader::new(file)?.get_row_iter(None)? {
-        for (name, field) in row?.get_column_iter() {
-            let fits = match field {
-                Field::Long(v) => match columns.entry(name.clone()).or_insert(Column::Whole(Vec::new())) {
-                    Column::Whole(all) => {
-                        all.push(*v);
-                        true
-                    }
-                    _ => false,
-                },
-                Field::Str(v) => match columns.entry(name.clone()).or_insert(Column::Text(Vec::new())) {
-                    Column::Text(all) => {
-                        all.push(v.clone());
-                        true
-                    }
-                    _ => false,
-                },
-                Field::Double(_) | Field::Null => {
-                    match columns.entry(name.clone()).or_insert(Column::Maybe(Vec::new())) {
-                        Column::Maybe(all) => {
-                            all.push(if let Field::Double(v) = field { Some(*v) } else { None });
-                            true
-                        }
-                        _ => false,
-                    }
-                }
-                _ => false,
-            };
-            if !fits {
-                return Err(ParquetError::General(format!(
-                    "column {name}: expected whole numbers, numbers or words, found {field}"
-                )));
-            }
-        }
-    }
-    Ok(columns)
 }

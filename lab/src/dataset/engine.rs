@@ -6,8 +6,10 @@ use std::fmt::Debug;
 use std::ops::Range;
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
-use wcal_sim::rod_engine::{LINKS, Run};
-use wcal_sim::{Mesh, RodEngine, Sweep, SweepPlan};
+use wcal_lab_sweeps::rod_comparison::ComparisonSum;
+use wcal_lab_sweeps::rod_engine::{LINKS, Run};
+use wcal_lab_sweeps::{RodEngine, Sweep, SweepPlan};
+use wcal_sim::Mesh;
 
 /// One sweep with what it gave; `None` where its plane misses the object.
 pub type Outcome = (u64, Option<(Sweep, Run)>);
@@ -35,7 +37,7 @@ pub struct Block {
     /// By sweep.
     pub outcomes: Vec<Outcome>,
     /// The quasi-static rod on the same sweeps, where another engine made them.
-    pub rod: Option<Vec<(u64, Option<Run>)>>,
+    pub against_rod: Option<ComparisonSum>,
     /// What went wrong with the object or the engine, in words.
     pub notes: Vec<String>,
     /// Processor time of other processes, s; that of the calling thread is not in it.

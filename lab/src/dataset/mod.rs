@@ -5,7 +5,6 @@ pub mod engine;
 pub mod mujoco;
 pub mod read;
 pub mod recipe;
-pub mod rod_comparison;
 pub mod shard;
 
 pub use engine::{RodSweeps, SweepEngine};
@@ -21,7 +20,9 @@ use std::path::Path;
 use std::sync::Arc;
 use wcal_core::observation::WhiskerSpec;
 use wcal_core::provenance::{canonical_json, sha256_hex};
-use wcal_sim::{Mesh, SweepPlan};
+use wcal_lab_sweeps::SweepPlan;
+use wcal_lab_sweeps::rod_comparison::ComparisonSum;
+use wcal_sim::Mesh;
 
 /// Sweeps in a shard.
 pub const BLOCK: u64 = 25;
@@ -62,6 +63,8 @@ pub struct Total {
     pub made: u64,
     /// What went wrong with the object or the engine, in words.
     pub notes: Vec<String>,
+    /// MuJoCo's sweeps beside the rod's.
+    pub against_rod: Option<ComparisonSum>,
     /// Shards that were there, could not be used and were made again, with the reason.
     pub again: Vec<String>,
 }
@@ -71,8 +74,6 @@ pub struct Total {
 pub struct MissingShard {
     /// Its name, without endings.
     pub name: String,
-    /// Number among the shards surveyed, from 0: it belongs to share `number % n` of `n`.
-    pub number: usize,
     /// Why.
     pub why: String,
 }
@@ -84,8 +85,6 @@ pub struct Survey {
     pub totals: BTreeMap<String, Total>,
     /// The others.
     pub missing: Vec<MissingShard>,
-    /// Shards that there should be.
-    pub shards: usize,
 }
 
 impl Total {
@@ -100,6 +99,9 @@ impl Total {
         }
         for note in manifest.notes.iter().filter(|n| !self.notes.contains(n)).collect::<Vec<_>>() {
             self.notes.push(note.clone());
+        }
+        if let Some(more) = &manifest.against_rod {
+            self.against_rod.get_or_insert_default().merge(more);
         }
         if made {
             self.made += manifest.sweeps[1];
@@ -167,15 +169,14 @@ impl Dataset {
     pub fn survey(&self, folder: &Path) -> Result<Survey, LabError> {
         let made_from = self.identities()?;
         let mut survey = Survey::default();
-        for (number, block) in self.blocks().into_iter().enumerate() {
+        for block in self.blocks() {
             let (object, first) = block;
             let name = self.name(block);
-            survey.shards += 1;
             match shard::done(folder, &name, &made_from[object], [first, self.size(first)]) {
                 Ok(manifest) => {
                     survey.totals.entry(self.objects[object].name.clone()).or_default().add(&manifest, true);
                 }
-                Err(e) => survey.missing.push(MissingShard { name, number, why: e.to_string() }),
+                Err(e) => survey.missing.push(MissingShard { name, why: e.to_string() }),
             }
         }
         Ok(survey)
@@ -268,7 +269,7 @@ mod tests {
     use serde_json::{Value, json};
     use std::sync::Arc;
     use wcal_core::observation::WhiskerSpec;
-    use wcal_sim::{SweepPlan, objects};
+    use wcal_lab_sweeps::{SweepPlan, objects};
 
     /// An engine of that identity.
     #[derive(Debug)]

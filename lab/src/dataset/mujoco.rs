@@ -8,12 +8,14 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
-use wcal_mujoco::cable_engine::{CableEngine, no_softening};
-use wcal_mujoco::convex::Convex;
+use wcal_lab_sweeps::cable_engine::{CableEngine, no_softening};
+use wcal_lab_sweeps::convex::Convex;
+use wcal_lab_sweeps::rod_comparison::ComparisonSum;
+use wcal_lab_sweeps::rod_engine::{LINKS, RodEngine, Run};
+use wcal_lab_sweeps::{Sweep, SweepPlan};
 use wcal_mujoco::mjcf::MjcfOptions;
 use wcal_mujoco::{MujocoEngine, TwinError};
-use wcal_sim::rod_engine::{LINKS, RodEngine, Run};
-use wcal_sim::{Mesh, SimError, Sweep, SweepPlan};
+use wcal_sim::{Mesh, SimError};
 
 /// Folder of the convex parts, in the dataset's.
 const CONVEX: &str = "convex";
@@ -64,22 +66,22 @@ impl MujocoSweeps {
         let parts = self.parts(mesh, &task.folder.join(CONVEX))?;
         let rod = RodEngine::new(whisker, LINKS)?;
         let mut engine = CableEngine::start(whisker, &self.options)?;
-        let (mut outcomes, mut by_rod) = (Vec::new(), Vec::new());
+        let (mut outcomes, mut against_rod) = (Vec::new(), ComparisonSum::over(plan));
         for index in task.sweeps.clone() {
             let sweep = Sweep::draw(mesh, plan, task.seed, index, engine.reach_mm());
-            by_rod.push((index, sweep.as_ref().map(|sweep| rod.run(mesh, sweep, plan))));
             let outcome = match (sweep, &parts) {
                 (None, _) => None,
                 (Some(sweep), Err(_)) => Some((sweep, Run::rejected("no-convex-parts"))),
                 (Some(sweep), Ok(parts)) => {
                     let run = engine.run(mesh, parts, &sweep, plan)?;
+                    against_rod.add(&run, &rod.run(mesh, &sweep, plan));
                     Some((sweep, run))
                 }
             };
             outcomes.push((index, outcome));
         }
         let notes = parts.err().into_iter().chain(engine.refused.take()).collect();
-        Ok(Block { outcomes, rod: Some(by_rod), notes, other_core_s: engine.core_s() })
+        Ok(Block { outcomes, against_rod: Some(against_rod), notes, other_core_s: engine.core_s() })
     }
 }
 

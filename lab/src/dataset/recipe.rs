@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
-use wcal_core::format::is_newer;
 use wcal_sim::Mesh;
 
 /// Name of the file.
@@ -85,11 +84,12 @@ impl Recipe {
 
     /// What in `found` is not as here, by name.
     fn differences(&self, found: &Self) -> Vec<String> {
-        let mut all = Vec::new();
-        differences_in("seed", &found.seed.into(), &self.seed.into(), &mut all);
-        differences_in("engine", &found.engine, &self.engine, &mut all);
-        differences_in("whisker", &found.whisker, &self.whisker, &mut all);
-        differences_in("plan", &found.plan, &self.plan, &mut all);
+        let parts = |r: &Self| [Value::from(r.seed), r.engine.clone(), r.whisker.clone(), r.plan.clone()];
+        let both =
+            ["seed", "engine", "whisker", "plan"].into_iter().zip(parts(found).into_iter().zip(parts(self)));
+        let differ = both.filter(|(_, (there, own))| there != own);
+        let mut all: Vec<String> =
+            differ.map(|(name, (there, own))| format!("{name}: there {there}, asked for {own}")).collect();
         for (name, own) in &self.objects {
             match found.objects.get(name) {
                 None => all.push(format!("object {name}: not there")),
@@ -106,21 +106,6 @@ impl Recipe {
         let more = found.objects.keys().filter(|name| !self.objects.contains_key(*name));
         all.extend(more.map(|name| format!("object {name}: there, not asked for")));
         all
-    }
-}
-
-/// Keys whose values differ, those of tables one by one.
-fn differences_in(name: &str, found: &Value, own: &Value, all: &mut Vec<String>) {
-    match (found, own) {
-        (Value::Object(found), Value::Object(own)) => {
-            let keys: std::collections::BTreeSet<&String> = found.keys().chain(own.keys()).collect();
-            for key in keys {
-                let at = |table: &serde_json::Map<String, Value>| table.get(key).cloned().unwrap_or_default();
-                differences_in(&format!("{name}.{key}"), &at(found), &at(own), all);
-            }
-        }
-        _ if found == own => {}
-        _ => all.push(format!("{name}: there {found}, asked for {own}")),
     }
 }
 
@@ -157,21 +142,13 @@ impl Dataset {
     /// Refuses a folder that holds another dataset, naming what differs: seed, plan, whisker, engine or objects. Nothing is written.
     ///
     /// # Errors
-    /// [`LabError::Mixture`], [`LabError::EarlierRecipe`], or where the folder cannot be read.
+    /// [`LabError::Mixture`], or where the folder cannot be read.
     pub fn check_folder(&self, folder: &Path) -> Result<(), LabError> {
         let own = Recipe::of(self)?;
         let mut differences = match Recipe::read(folder)? {
-            Some(found) if is_newer(FORMAT, &found.format) => {
-                let detail = format!("expected {FORMAT}, found {} of a newer wcal", found.format);
-                return Err(LabError::Shard { path: folder.join(FILE), detail });
-            }
-            // What was written by Debug text cannot be compared: refused by name, whatever it says.
             Some(found) if found.format != FORMAT => {
-                return Err(LabError::EarlierRecipe {
-                    folder: folder.to_owned(),
-                    expected: FORMAT,
-                    found: found.format,
-                });
+                let detail = format!("expected {FORMAT}, found {}", found.format);
+                return Err(LabError::Shard { path: folder.join(FILE), detail });
             }
             Some(found) => own.differences(&found),
             None => Vec::new(),

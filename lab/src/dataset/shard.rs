@@ -14,8 +14,7 @@
 //! `normal_{x,y,z}` (direction of the force on the wire), `arclength_mm`, `force_n` along the normal, `gap_mm` (negative: overlap),
 //! `friction_{x,y,z}_n` (force on the wire across the normal), `sticks` (1: within the friction cone; 0: slides, or has no friction).
 //!
-//! Shards by MuJoCo have the rod on the same sweeps, too: `rod_verdict` in the sweeps, and `.rod.parquet`, a row a sample of the
-//! rod's: `sweep`, `sample`, `rod_moment_{x,y,z}_nmm`, `rod_contact_{x,y,z}_mm`, `rod_contact_arclength_mm`, `rod_event`.
+//! Manifests of shards by MuJoCo sum up how far the rod is on the same sweeps.
 
 use super::columns::{Column, to_bytes};
 use super::engine::{Block, Outcome};
@@ -29,10 +28,11 @@ use wcal_core::document::from_json;
 use wcal_core::files::{FileError, write_atomic};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::ranges::Range;
-use wcal_rod::Contact;
-use wcal_sim::rod_engine::Run;
-use wcal_sim::sweep::{ENGINE_DIED, Event};
-use wcal_sim::{Sample, Sweep, Verdict};
+use wcal_lab_sweeps::contact::Contact;
+use wcal_lab_sweeps::rod_comparison::ComparisonSum;
+use wcal_lab_sweeps::rod_engine::Run;
+use wcal_lab_sweeps::sweep::{ENGINE_DIED, Event};
+use wcal_lab_sweeps::{Sample, Sweep, Verdict};
 
 /// Version of the tables.
 pub const FORMAT: &str = "wcal-sweeps/1";
@@ -66,14 +66,22 @@ pub struct Manifest {
     /// What went wrong with the object or the engine, in words.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
+    /// MuJoCo's sweeps beside the rod's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub against_rod: Option<ComparisonSum>,
     /// SHA-256 of each table.
     pub sha256: BTreeMap<String, String>,
 }
 
-const RANGES: &[Range] = &[Range::real("core_s", 0.0, 1e12), Range::whole("", 0.0, 1e12)];
+const RANGES: &[Range] = &[
+    Range::real("core_s", 0.0, 1e12),
+    Range::real("speed_mm_s", 0.0, 1e12),
+    Range::real("squares", 0.0, 1e12),
+    Range::real("sizes", 0.0, 1e12),
+    Range::real("overlap_mm", 0.0, 1e12),
+    Range::whole("", 0.0, 1e12),
+];
 
-/// Ending of the table with the rod on MuJoCo's sweeps.
-pub const ROD: &str = "rod";
 /// Share of the friction cone below which a contact counts as sticking.
 const STICKS: f64 = 0.98;
 
@@ -156,6 +164,7 @@ pub(crate) fn write(
         samples: 0,
         events: BTreeMap::new(),
         notes: block.notes.clone(),
+        against_rod: block.against_rod.clone(),
         sha256: BTreeMap::new(),
     };
     for (_, outcome) in outcomes {
@@ -168,13 +177,8 @@ pub(crate) fn write(
             }
         }
     }
-    let mut tables =
-        vec![("sweeps", sweeps(outcomes)), ("samples", samples(outcomes)), ("contacts", contacts(outcomes))];
-    if let Some(rod) = &block.rod {
-        let verdict = |run: &Option<Run>| run.as_ref().map_or("no-section", |r| r.verdict.name()).to_owned();
-        tables[0].1.push(("rod_verdict", Column::Text(rod.iter().map(|(_, run)| verdict(run)).collect())));
-        tables.push((ROD, rod_columns(rod)));
-    }
+    let tables =
+        [("sweeps", sweeps(outcomes)), ("samples", samples(outcomes)), ("contacts", contacts(outcomes))];
     for (table, columns) in tables {
         let file = format!("{name}.{table}.parquet");
         let bytes = to_bytes(&columns, &about)
@@ -303,30 +307,5 @@ fn contacts(outcomes: &[Outcome]) -> Columns {
         ("friction_y_n", axes(|c| c.friction_n, 1)),
         ("friction_z_n", axes(|c| c.friction_n, 2)),
         ("sticks", Column::Whole(all.iter().map(sticks).collect())),
-    ]
-}
-
-/// Columns of the table that a shard by another engine has in addition to the others: the rod on the same sweeps.
-fn rod_columns(rod: &[(u64, Option<Run>)]) -> Vec<(&'static str, Column)> {
-    let all: Vec<_> = rod
-        .iter()
-        .filter_map(|(sweep, run)| Some((*sweep as i64, run.as_ref()?)))
-        .flat_map(|(sweep, run)| run.samples.iter().enumerate().map(move |(k, s)| (sweep, k as i64, s)))
-        .collect();
-    let real = |value: &dyn Fn(&Sample) -> f64| Column::Real(all.iter().map(|s| value(s.2)).collect());
-    let first = |value: &dyn Fn(&Contact) -> f64| {
-        Column::Maybe(all.iter().map(|s| s.2.contacts.first().map(value)).collect())
-    };
-    vec![
-        ("sweep", Column::Whole(all.iter().map(|s| s.0).collect())),
-        ("sample", Column::Whole(all.iter().map(|s| s.1).collect())),
-        ("rod_moment_x_nmm", real(&|s| s.moment_nmm.x)),
-        ("rod_moment_y_nmm", real(&|s| s.moment_nmm.y)),
-        ("rod_moment_z_nmm", real(&|s| s.moment_nmm.z)),
-        ("rod_contact_x_mm", first(&|c| c.point_mm.x)),
-        ("rod_contact_y_mm", first(&|c| c.point_mm.y)),
-        ("rod_contact_z_mm", first(&|c| c.point_mm.z)),
-        ("rod_contact_arclength_mm", first(&|c| c.arclength_mm)),
-        ("rod_event", Column::Text(all.iter().map(|s| s.2.event.name().to_owned()).collect())),
     ]
 }

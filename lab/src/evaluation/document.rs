@@ -24,8 +24,6 @@ pub struct EvaluationDocument {
     pub format: &'static str,
     /// Always true.
     pub simulated: bool,
-    /// Few objects and sweeps.
-    pub quick: bool,
     /// SHA-256 of the weights.
     #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     pub model: String,
@@ -37,13 +35,14 @@ pub struct EvaluationDocument {
     pub bootstrap: Bootstrap,
     /// Every method on every set.
     pub methods: Vec<MethodRow>,
-    /// Time of one sample on one core.
-    pub streaming: Streaming,
     /// Inputs and program.
     pub provenance: Provenance,
-    /// Tables on sweeps that are drawn on the spot.
-    #[serde(flatten)]
-    pub tables: Option<Tables>,
+    /// The tracker on the groove of the bench's session.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub known_motion: Option<KnownMotion>,
+    /// On the virtual bench.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub virtual_real: Option<VirtualReal>,
     /// Objects set aside for tests.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub test_objects: Option<TestObjects>,
@@ -193,80 +192,6 @@ impl ObjectRow {
     }
 }
 
-/// Time of one sample on one core.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
-pub struct Streaming {
-    /// Samples a second.
-    pub samples_per_s: f64,
-    /// 99 % quantile, us.
-    pub p99_us: f64,
-}
-
-/// Tables on sweeps that are drawn on the spot.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
-pub struct Tables {
-    /// What each part buys, on the virtual bench.
-    pub ablations: Vec<AblationRow>,
-    /// Upright objects, four faces, no jumps: the paper's table I.
-    pub faces: Faces,
-    /// The tracker on the groove of the bench's session.
-    pub known_motion: Option<KnownMotion>,
-    /// By the noise of the stream.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub noise: Option<Vec<NoiseRow>>,
-    /// The paper's table III.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub sim2real: Option<Vec<MediumRow>>,
-    /// The paper's table II.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub speed: Option<Vec<SpeedRow>>,
-    /// On the virtual bench.
-    pub virtual_real: VirtualReal,
-}
-
-/// One part left out or changed.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
-pub struct AblationRow {
-    /// Part.
-    pub name: String,
-    /// RMSE to the surface, mm.
-    pub rmse_mm: f64,
-    /// Once the contact is followed, mm.
-    pub followed_rmse_mm: f64,
-    /// To the true contact, mm.
-    pub true_contact_rmse_mm: f64,
-    /// 95 % quantile of the error, mm.
-    pub p95_mm: f64,
-    /// Intervals by key.
-    pub interval95: BTreeMap<&'static str, Interval>,
-}
-
-impl AblationRow {
-    /// Means over the objects.
-    pub fn of(name: &str, rows: &[ObjectScores]) -> Self {
-        Self {
-            name: name.to_owned(),
-            rmse_mm: mean(rows, |o| o.all.rmse_mm),
-            followed_rmse_mm: mean(rows, |o| o.followed.rmse_mm),
-            true_contact_rmse_mm: mean(rows, |o| o.all.true_contact_rmse_mm),
-            p95_mm: mean(rows, |o| o.all.p95_mm),
-            interval95: intervals(rows),
-        }
-    }
-}
-
-/// Upright objects.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
-pub struct Faces {
-    /// With the base's speed known.
-    #[serde(flatten)]
-    pub speed_known: Means,
-    /// Without it, on fewer sweeps.
-    pub speed_not_known: Means,
-    /// Filter and network on the same sweeps.
-    pub methods: Vec<MethodRow>,
-}
-
 /// The tracker on the groove of a session, whose motion is known, by `verify`'s own calibration, beside the bound on its error.
 #[derive(Debug, Clone, Serialize, JsonSchema)]
 pub struct KnownMotion {
@@ -287,51 +212,6 @@ pub struct KnownMotion {
     pub readings: usize,
     /// What was held out.
     pub split: String,
-}
-
-/// One kind of a stream's noise.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
-pub struct NoiseRow {
-    /// Kind.
-    pub noise: &'static str,
-    /// RMSE to the surface, mm.
-    pub rmse_mm: f64,
-    /// To the true contact, mm.
-    pub true_contact_rmse_mm: f64,
-    /// Share of true contacts in their 90 % regions.
-    pub coverage90: f64,
-    /// Intervals by key.
-    pub interval95: BTreeMap<&'static str, Interval>,
-}
-
-/// An object in simulation, air and water, mm.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
-pub struct MediumRow {
-    /// Object.
-    pub name: String,
-    /// Whether it was trained on.
-    pub seen: bool,
-    /// In simulation.
-    pub simulation_mm: f64,
-    /// In virtual air.
-    pub air_mm: f64,
-    /// In virtual water.
-    pub water_mm: f64,
-    /// Intervals by key.
-    pub interval95: BTreeMap<&'static str, Interval>,
-}
-
-/// A speed of the base, errors in mm.
-#[derive(Debug, Clone, Serialize, JsonSchema)]
-pub struct SpeedRow {
-    /// Speed.
-    pub mm_s: f64,
-    /// Constant.
-    pub constant_mm: f64,
-    /// Varied at random.
-    pub random_mm: f64,
-    /// Intervals by key.
-    pub interval95: BTreeMap<&'static str, Interval>,
 }
 
 /// The tracker on the virtual bench, through its own calibration.

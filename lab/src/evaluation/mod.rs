@@ -1,34 +1,31 @@
 //! A trained tracker beside the baselines, on sweeps that it did not see. All of it is SIMULATED.
 //!
-//! [`evaluate`] scores every method on the sweeps of a dataset, times one sample, and makes the tables that draw their
-//! own sweeps: the virtual bench (`virtual_bench`, `tables`) and the objects set aside for tests (`test_objects`). The caller reads model and
+//! [`evaluate`] scores every method on the sweeps of a dataset, and on sweeps that are drawn on the spot: on the virtual bench
+//! (`virtual_bench`, `on_bench`) and over the objects set aside for tests (`test_objects`). The caller reads model and
 //! sweeps, calibrates the bench's session as a user would ([`Surroundings::calibrate`]) and writes the [`EvaluationDocument`].
 
 pub mod document;
-mod tables;
+mod on_bench;
 mod test_objects;
 mod virtual_bench;
-mod work;
 
 pub use document::{EvaluationDocument, FORMAT};
-pub use tables::slope_s;
 
 use crate::LabError;
 use crate::evaluate::{Method, ObjectScores, score_objects};
 use crate::model_file::Card;
 use crate::sweep_series::SweepSeries;
-use document::{Bootstrap, Means, MethodRow, Simulation, Streaming};
+use document::{Bootstrap, Means, MethodRow, Simulation};
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::Path;
-use std::time::Instant;
 use wcal_calibration::CalibrationModel;
 use wcal_core::provenance::Provenance;
 use wcal_core::verify_document::{GrooveTracking, Verdict};
-use wcal_sim::{Mesh, objects};
+use wcal_lab_sweeps::objects;
+use wcal_sim::Mesh;
 use wcal_track::filter::{BayesSettings, FilterBank};
-use wcal_track::{InverseGrid, Sample, StaticInverse, Tracker};
-use work::{EvaluationProgress, STREAMING, cost};
+use wcal_track::{InverseGrid, StaticInverse, Tracker};
 
 /// The best method, whose errors stand for the tracker.
 const BEST: &str = "network, speed known";
@@ -55,10 +52,6 @@ impl Sets {
     fn named(&self) -> [(&'static str, &BTreeMap<String, Vec<SweepSeries>>); 2] {
         [("seen", &self.seen), ("unseen", &self.unseen)]
     }
-
-    fn series(&self) -> [Vec<&SweepSeries>; 2] {
-        [&self.seen, &self.unseen].map(|set| set.values().flatten().collect())
-    }
 }
 
 /// What is asked for.
@@ -72,8 +65,6 @@ pub struct Order<'a> {
     pub sweeps_each: usize,
     /// Seed of the virtual bench and of the sweeps that are drawn on the spot.
     pub seed: u64,
-    /// No tables over speed, medium and noise.
-    pub quick: bool,
     /// No tables that draw sweeps.
     pub simulation_only: bool,
 }
@@ -87,8 +78,8 @@ pub struct Surroundings<'a> {
     pub calibrate: &'a Calibrate<'a>,
     /// Filters that know the noise of moments through a calibration.
     pub filters_for: fn(FilterBank, &CalibrationModel) -> FilterBank,
-    /// Stage, and share of the work that is done.
-    pub progress: &'a dyn Fn(&str, f64),
+    /// Stages.
+    pub progress: &'a dyn Fn(&str),
     /// Remarks.
     pub note: &'a dyn Fn(&str),
     /// Inputs and program.
@@ -100,8 +91,6 @@ pub struct Surroundings<'a> {
 pub struct BenchCalibration {
     /// The map of `fit-gpr`, as if no effect had been found.
     pub map: CalibrationModel,
-    /// The maps of each kind that `fit-gpr` can choose from, by name.
-    pub maps: Vec<(&'static str, CalibrationModel)>,
     /// The sensitivity with the effects that `verify` accepted, where it vouches for one.
     pub verified: Option<CalibrationModel>,
     /// What `verify` said.
@@ -144,37 +133,20 @@ pub fn evaluate(
     let fine = StaticInverse::new(&card.whisker, InverseGrid::default())?;
     let multi_mu = BayesSettings::multi_mu();
     let methods = methods(model, &fine, &multi_mu);
-    let count = sets.series().map(|set| set.len() as f64);
-    let tables = tables::cost(card, order) + test_objects::cost(order);
-    let each = methods.iter().map(|m| cost(&m.1)).sum();
-    let work = EvaluationProgress::new(around.progress, count.iter().sum(), each, tables);
-
     let mut scores = Vec::new();
-    for (k, (set, all_series)) in sets.named().into_iter().enumerate() {
+    for (set, all_series) in sets.named() {
         let meshes = meshes(all_series.keys(), order.meshes, around.note)?;
         for (name, method) in &methods {
-            work.next(&format!("{name}, {set} objects"), count[k] * cost(method));
+            (around.progress)(&format!("{name}, {set} objects"));
             let objects = score_objects(&|c: &SweepSeries| method.run(c), all_series, &meshes)?;
             scores.push(MethodScores { set, method: name, objects });
         }
     }
-    work.next("time of one sample", STREAMING);
-    let streaming = streaming(tracker, sets.series().into_iter().flatten());
-    let mut document = simulation(&scores, streaming, order, card, around);
+    let mut document = simulation(&scores, card, around);
     if !order.simulation_only {
-        let folder =
-            tempfile::tempdir().map_err(LabError::file("making a folder in", &std::env::temp_dir()))?;
-        let maker = tables::BenchEvaluator {
-            tracker,
-            card,
-            order,
-            around,
-            folder: folder.path(),
-            work: &work,
-            curve: &fine,
-        };
-        document.tables = Some(maker.tables()?);
-        document.test_objects = Some(test_objects::table((tracker, &card.whisker), order, &work)?);
+        let (real, known_motion) = on_bench::on_bench(model, order, around)?;
+        (document.virtual_real, document.known_motion) = (Some(real), known_motion);
+        document.test_objects = Some(test_objects::table((tracker, &card.whisker), order, around.progress)?);
     }
     Ok((document, scores))
 }
@@ -198,13 +170,7 @@ fn methods<'a>(
 }
 
 /// The document with what is known of the sweeps of the dataset.
-fn simulation(
-    scores: &[MethodScores],
-    streaming: Streaming,
-    order: &Order<'_>,
-    card: &Card,
-    around: &Surroundings<'_>,
-) -> EvaluationDocument {
+fn simulation(scores: &[MethodScores], card: &Card, around: &Surroundings<'_>) -> EvaluationDocument {
     let of = |set: &str| {
         scores.iter().find(|s| s.set == set && s.method == BEST).map_or(&[][..], |s| &s.objects[..])
     };
@@ -213,15 +179,14 @@ fn simulation(
     EvaluationDocument {
         format: FORMAT,
         simulated: true,
-        quick: order.quick,
         model: card.weights_sha256.clone(),
         calibration: None,
         simulation: Simulation { method: BEST, means },
         bootstrap: Bootstrap::default(),
         methods: scored.map(|s| MethodRow::of(s.set, s.method, &s.objects)).collect(),
-        streaming,
         provenance: around.provenance.clone(),
-        tables: None,
+        known_motion: None,
+        virtual_real: None,
         test_objects: None,
     }
 }
@@ -242,26 +207,4 @@ fn meshes<'a>(
             Ok((name.clone(), mesh))
         })
         .collect()
-}
-
-/// Samples a second on one core, one by one, and the slowest of a hundred.
-fn streaming<'a>(tracker: &Tracker, all_series: impl Iterator<Item = &'a SweepSeries>) -> Streaming {
-    const SAMPLES: usize = 1000;
-    let mut times_us: Vec<f64> = Vec::new();
-    for series in all_series {
-        let mut stream = tracker.stream();
-        for i in &series.samples {
-            let sample = Sample { t_s: i.t_s, moment_nmm: i.moment_nmm, base_mm_s: Some(i.speed_mm_s) };
-            let begin = Instant::now();
-            std::hint::black_box(stream.push(&sample));
-            times_us.push(begin.elapsed().as_secs_f64() * 1e6);
-        }
-        if times_us.len() > SAMPLES {
-            break;
-        }
-    }
-    times_us.sort_by(f64::total_cmp);
-    let total: f64 = times_us.iter().sum();
-    let p99 = times_us.get(times_us.len() * 99 / 100).copied().unwrap_or(0.0);
-    Streaming { samples_per_s: (times_us.len() as f64 / total * 1e6).round(), p99_us: p99.round() }
 }

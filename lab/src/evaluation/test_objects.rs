@@ -6,13 +6,13 @@ use crate::LabError;
 use crate::evaluate::{Method, score_objects};
 use crate::evaluation::Order;
 use crate::evaluation::document::{ObjectRow, TestObjects, TestRow, coverage90, intervals, mean};
-use crate::evaluation::work::{EvaluationProgress, SWEEP, cost as cost_of};
 use crate::generate_sweeps::{SweepRequest, generate_sweeps};
 use crate::sweep_series::SweepSeries;
 use std::collections::BTreeMap;
 use wcal_core::WhiskerSpec;
-use wcal_sim::objects::{TEST_NAMES, built_in};
-use wcal_sim::{Mesh, SweepPlan, Turn};
+use wcal_lab_sweeps::objects::{TEST_NAMES, built_in};
+use wcal_lab_sweeps::{SweepPlan, Turn};
+use wcal_sim::Mesh;
 use wcal_track::Tracker;
 use wcal_track::filter::BayesSettings;
 
@@ -31,16 +31,6 @@ fn draws(sweeps: usize) -> [(&'static str, SweepPlan, usize); 2] {
     [("upright", upright, sweeps.next_multiple_of(FACES)), ("random", plan, sweeps)]
 }
 
-/// Cost of the table (see `work`).
-pub fn cost(order: &Order<'_>) -> f64 {
-    if order.simulation_only {
-        return 0.0;
-    }
-    let sweeps: usize = draws(order.sweeps_each).iter().map(|d| d.2 * TEST_NAMES.len()).sum();
-    // The network at both speeds, that of `SWEEP`, and the filter at one.
-    (2.0 * SWEEP + 2.0) * sweeps as f64
-}
-
 /// The table for evaluation.json.
 ///
 /// # Errors
@@ -48,7 +38,7 @@ pub fn cost(order: &Order<'_>) -> f64 {
 pub fn table(
     (tracker, whisker): (&Tracker, &WhiskerSpec),
     order: &Order<'_>,
-    work: &EvaluationProgress<'_>,
+    progress: &dyn Fn(&str),
 ) -> Result<TestObjects, LabError> {
     let meshes: BTreeMap<String, Mesh> = TEST_NAMES
         .iter()
@@ -62,7 +52,7 @@ pub fn table(
     ];
     let mut rows = Vec::new();
     for (turns, plan, sweeps) in &draws(order.sweeps_each) {
-        work.next(&format!("test objects, {turns}"), SWEEP * (TEST_NAMES.len() * sweeps) as f64);
+        progress(&format!("test objects, {turns}"));
         let request = SweepRequest { whisker, plan, seed: order.seed ^ SEED, sweeps: *sweeps };
         let mut all = BTreeMap::new();
         for (name, mesh) in &meshes {
@@ -72,10 +62,6 @@ pub fn table(
             }
         }
         for (name, known, method) in &methods {
-            work.next(
-                &format!("test objects, {turns}, {name}"),
-                cost_of(method) * (TEST_NAMES.len() * sweeps) as f64,
-            );
             let scores = score_objects(&|c: &SweepSeries| method.run(c), &all, &meshes)?;
             rows.push(TestRow {
                 turns,

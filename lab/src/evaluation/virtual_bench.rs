@@ -6,20 +6,19 @@
 use crate::LabError;
 use crate::evaluation::{BenchCalibration, Calibrate};
 use crate::sweep_series::SweepSeries;
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal, StudentT};
+use rand_distr::{Distribution, StandardNormal};
 use std::fmt::Write as _;
 use std::path::Path;
 use wcal_calibration::CalibrationModel;
 use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_lab_sweeps::SweepPlan;
+use wcal_lab_sweeps::physics::{Medium, PhysicsPlan};
 use wcal_plant::bench::{Bench, PM_PER_DEGC};
 use wcal_plant::effects::FBG_PM;
-use wcal_plant::noise::Noise;
 use wcal_plant::session::draw_on;
 use wcal_plant::{CaseKind, Design, Kind, Request};
-use wcal_sim::SweepPlan;
-use wcal_sim::physics::{Medium, PhysicsPlan};
 use wcal_track::Tare;
 
 /// The bench.
@@ -46,23 +45,6 @@ const SIZE_SIGMA: f64 = 20.0;
 const AVERAGED: f64 = 200.0;
 /// Time in which the slow part of the noise (the session's point-to-point noise) loses most of its memory, s.
 const SLOW_S: f64 = 60.0;
-/// Degrees of freedom of heavy tails, drift over that of the plain bench, step of a rounding read-out (pm), and a gross reading (pm).
-const TAILS_DOF: f64 = 3.0;
-const DRIFT_RATIO: f64 = 3.0;
-const STEP_PM: f64 = 1.0;
-const GROSS_PM: f64 = 60.0;
-
-/// Noise of a sensor's stream; those of the plant that concern rest readings, poses or depth are none of a sweep.
-pub const STREAM_NOISES: [Noise; 7] = [
-    Noise::Gaussian,
-    Noise::StudentT,
-    Noise::Rounding,
-    Noise::OneGross,
-    Noise::Drift,
-    Noise::RoundedT,
-    Noise::DriftT,
-];
-
 /// Time at the start of a series that sets its zero, without contact (`wcal track --tare-s`), s.
 const TARE_S: f64 = 0.5;
 
@@ -122,8 +104,13 @@ impl VirtualBench {
     }
 
     /// Sweeps on this bench: friction, weight, and the medium's drag.
-    pub fn plan(medium: Medium) -> SweepPlan {
-        let physics = PhysicsPlan { friction: [0.05, 0.25], medium, weight: true, ..PhysicsPlan::default() };
+    pub fn plan() -> SweepPlan {
+        let physics = PhysicsPlan {
+            friction: [0.05, 0.25],
+            medium: Medium::Air,
+            weight: true,
+            ..PhysicsPlan::default()
+        };
         SweepPlan { rate_hz: 10.0, physics, ..SweepPlan::default() }
     }
 
@@ -137,12 +124,10 @@ impl VirtualBench {
         series: &SweepSeries,
         by: &CalibrationModel,
         seed: u64,
-        noise: Noise,
         folder: &Path,
     ) -> Result<SweepSeries, LabError> {
         let path = folder.join(format!("{}-{}.csv", series.object, series.sweep));
-        std::fs::write(&path, self.readings(series, seed, noise))
-            .map_err(LabError::file("writing", &path))?;
+        std::fs::write(&path, self.readings(series, seed)).map_err(LabError::file("writing", &path))?;
         let by = by
             .whisker()
             .ok_or_else(|| LabError::value("virtual bench, calibration", "a whisker's", "another kind"))?;
@@ -155,29 +140,12 @@ impl VirtualBench {
         Ok(seen)
     }
 
-    /// Table of readings with noise: white over the samples, and slow as that from point to point in the session, each as its kind has it.
-    fn readings(&self, series: &SweepSeries, seed: u64, noise: Noise) -> String {
+    /// Table of readings with noise: white over the samples, and slow as that from point to point in the session.
+    fn readings(&self, series: &SweepSeries, seed: u64) -> String {
         let b = &self.bench;
-        // Student's t with the variance of the normal noise that it replaces.
-        let tails = matches!(noise, Noise::StudentT | Noise::RoundedT | Noise::DriftT)
-            .then(|| StudentT::new(TAILS_DOF).ok())
-            .flatten();
-        let tails_sd = (TAILS_DOF / (TAILS_DOF - 2.0)).sqrt();
-        let slow_pm = match noise {
-            Noise::Drift | Noise::DriftT => DRIFT_RATIO * b.noise_pm,
-            _ => b.noise_pm,
-        };
-        let rounded = |nm: f64| match noise {
-            Noise::Rounding | Noise::RoundedT => (nm / (1e-3 * STEP_PM)).round() * 1e-3 * STEP_PM,
-            _ => nm,
-        };
-        let mut own = ChaCha8Rng::seed_from_u64(!seed ^ series.sweep.wrapping_mul(0x9e37_79b9));
-        let gross = (noise == Noise::OneGross && !series.samples.is_empty())
-            .then(|| own.random_range(0..series.samples.len()));
-        let mut heavy = || tails.map(|t| t.sample(&mut own) / tails_sd);
         let mut rng = ChaCha8Rng::seed_from_u64(seed ^ series.sweep.wrapping_mul(0x9e37_79b9));
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
-        let mut slow = [0, 1].map(|_| slow_pm * normal());
+        let mut slow = [0, 1].map(|_| b.noise_pm * normal());
         let mut out = String::from("point,t_s,fbg_ref_nm,fbg_1_nm,fbg_2_nm,temperature_degc\n");
         let mut last_s = 0.0;
         for (point, i) in series.samples.iter().enumerate() {
@@ -190,12 +158,10 @@ impl VirtualBench {
             let shift = b.shift_pm(i.moment_nmm);
             let white = b.sample_sd_pm / AVERAGED.sqrt();
             let nm: [f64; 2] = std::array::from_fn(|c| {
-                slow[c] = kept * slow[c] + (1.0 - kept * kept).sqrt() * slow_pm * normal();
+                slow[c] = kept * slow[c] + (1.0 - kept * kept).sqrt() * b.noise_pm * normal();
                 let own = white * normal();
-                let own = heavy().map_or(own, |t| white * t);
-                let off = if gross == Some(point) { GROSS_PM } else { 0.0 };
-                let pm = b.zero_pm[c] + shift[c] + square[c] + PM_PER_DEGC * warm + slow[c] + own + off;
-                rounded(b.nominal_nm[c] + 1e-3 * pm)
+                let pm = b.zero_pm[c] + shift[c] + square[c] + PM_PER_DEGC * warm + slow[c] + own;
+                b.nominal_nm[c] + 1e-3 * pm
             });
             let reference = b.reference_nominal_nm + 1e-3 * (PM_PER_DEGC * warm + white * normal());
             let _ = writeln!(

@@ -141,7 +141,7 @@ mod tests {
     use super::*;
     use crate::model_file::{preset, runnable};
     use std::collections::BTreeMap;
-    use wcal_sim::objects;
+    use wcal_lab_sweeps::objects;
     use wcal_track::sd_factors::SdFactors;
     use wcal_track::tracker::{Sample, Tracker};
 

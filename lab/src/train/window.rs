@@ -178,7 +178,7 @@ pub(super) mod tests {
     use crate::model_file::preset;
     use nalgebra::Vector3;
     use wcal_core::observation::{RestShape, WhiskerSpec};
-    use wcal_sim::{SweepPlan, objects};
+    use wcal_lab_sweeps::{SweepPlan, objects};
     use wcal_track::inverse::InverseGrid;
 
     /// A coarse table, and a sweep over a built-in object.

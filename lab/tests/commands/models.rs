@@ -41,8 +41,6 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
             "{card}"
         );
     }
-    let page = std::fs::read_to_string(path("model/report.html")).unwrap();
-    assert!(page.contains("<svg") && page.contains("SIMULATED"), "learning curves");
     // A bench whose session `verify` explains; that of seed 1 leaves an unknown effect, and no calibration by effects.
     let evaluate = ["evaluate", &sweeps, "--model", &model, "--sweeps-each", "2", "--seed", "2"];
     let scores = good(&[&evaluate[..], &["--out", &path("evaluation"), "--json"]].concat());
@@ -51,21 +49,14 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     assert_eq!(scores["simulated"], true);
     // Six methods on the unseen object and on the sweep kept back.
     assert_eq!(scores["methods"].as_array().unwrap().len(), 12, "{scores}");
-    assert!(scores["streaming"]["samples_per_s"].as_f64().unwrap() > 0.0);
     assert_eq!(scores["virtual_real"]["virtual"], true);
     assert!(scores["virtual_real"]["worst_mm"].as_f64().unwrap() > 0.0, "{scores}");
     // Known motion on the bench's session, beside its bound.
     let known = &scores["known_motion"];
     let ratio = known["error_over_bound"].as_f64().unwrap();
     assert!(ratio > 0.2 && known["bound_mm"].as_f64().unwrap() > 0.0, "{known}");
-    assert_eq!(scores["speed"].as_array().unwrap().len(), 5);
-    // The drill's mesh does not come with the program.
-    assert_eq!(scores["sim2real"].as_array().unwrap().len(), 2);
-    let named = |name: &str| scores["ablations"].as_array().unwrap().iter().any(|a| a["name"] == name);
-    assert!(["effects-accepted", "effects-not-accepted", "horizon-1", "damping-bias"].into_iter().all(named));
-    assert!(["map-affine", "map-quadratic", "map-thin-plate", "map-matern52"].into_iter().all(named));
     assert!(Path::new(&path("evaluation/evaluation.json")).exists());
-    // Every error of several sweeps has its interval, and the page shows it.
+    // Every error of several sweeps has its interval.
     let within = |row: &serde_json::Value, key: &str| {
         let interval = &row["interval95"][key];
         let [low, value, high] = [&interval[0], &row[key], &interval[1]].map(|v| v.as_f64().unwrap());
@@ -73,10 +64,7 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
     };
     within(&scores["virtual_real"], "worst_mm");
     within(&scores["virtual_real"], "unseen_mean_mm");
-    within(&scores["ablations"][0], "rmse_mm");
-    within(&scores["speed"][0], "random_mm");
-    let page = std::fs::read_to_string(path("evaluation/report.html")).unwrap();
-    assert!(page.contains("map-affine") && page.contains("VIRTUAL"), "{page}");
+    within(&scores["methods"][0], "rmse_mm");
     let session = concat!(env!("CARGO_MANIFEST_DIR"), "/../fixtures/practice/case-004");
     good(&["fit-gpr", session, "--out", &path("fit")]);
     let (table, calibration) = (format!("{session}/points.csv"), path("fit/calibration.json"));

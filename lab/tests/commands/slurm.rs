@@ -207,7 +207,7 @@ fn a_job_array_makes_the_dataset_and_is_safe_to_submit_again() {
     let obstacle = slurm.place("sweeps/can-000025.samples.parquet");
     std::fs::create_dir_all(obstacle.join("in-the-way")).unwrap();
     let first = submitted(&slurm.simulate("sweeps", &submit));
-    assert_eq!([&first["missing"], &first["shards"]], [4, 4]);
+    assert_eq!([&first["tasks"], &first["shards"]], [3, 4]);
     // While it is in the queue a second submission is refused.
     let second = slurm.simulate("sweeps", &submit);
     assert_eq!(second.status.code(), Some(1));
@@ -217,16 +217,15 @@ fn a_job_array_makes_the_dataset_and_is_safe_to_submit_again() {
     assert!(log.contains("can-000025 is missing"), "{log}");
     assert!(!log.contains("can-000000 is missing") && !log.contains("wedge-000000 is missing"), "{log}");
 
-    // Submitted again: only the task with the missing shard runs; a half-written shard is made again too.
+    // Submitted again: what is there is passed over, a half-written shard is made again too.
     std::fs::remove_dir_all(&obstacle).unwrap();
     let whole = std::fs::read(slurm.place("sweeps/wedge-000000.samples.parquet")).unwrap();
     std::fs::write(slurm.place("sweeps/wedge-000000.samples.parquet"), &whole[..whole.len() / 2]).unwrap();
     let untouched = slurm.place("sweeps/can-000000.json");
     let before = std::fs::metadata(&untouched).unwrap().modified().unwrap();
     let again = submitted(&slurm.simulate("sweeps", &submit));
-    assert_eq!((&again["missing"], again["tasks"].as_str()), (&2.into(), Some("2-3")));
     let (log, code, tasks) = slurm.finished(&again, "sweeps");
-    assert_eq!((code, tasks), (0, 2), "{log}");
+    assert_eq!((code, tasks), (0, 3), "{log}");
     assert_eq!(
         std::fs::metadata(&untouched).unwrap().modified().unwrap(),
         before,
@@ -240,12 +239,6 @@ fn a_job_array_makes_the_dataset_and_is_safe_to_submit_again() {
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
     assert_eq!(summary["sweeps"], 54);
     assert!(summary["core_h_per_15600_sweeps"].as_f64().unwrap() > 0.0, "{summary}");
-
-    // A third time there is nothing to submit.
-    let third = slurm.simulate("sweeps", &submit);
-    assert_eq!(third.status.code(), Some(0));
-    assert!(text(&third.stderr).contains("nothing is submitted"), "{}", text(&third.stderr));
-    assert_eq!(submitted(&third)["sweeps"], 54);
 }
 
 #[test]
@@ -253,8 +246,7 @@ fn the_scripts_are_printed_without_slurm() {
     let folder = tempfile::tempdir().unwrap();
     let header = "#SBATCH --partition=long\n#SBATCH --mem=2G\nmodule load wcal\n";
     std::fs::write(folder.path().join("head.sh"), header).unwrap();
-    let given =
-        "simulate --object can --sweeps 100 --slurm head.sh --dry-run --slurm-tasks 2 --report --out sweeps";
+    let given = "simulate --object can --sweeps 100 --slurm head.sh --dry-run --slurm-tasks 2 --out sweeps";
     let done = program().current_dir(folder.path()).args(given.split_whitespace()).output().unwrap();
     let scripts = text(&done.stdout);
     assert_eq!(done.status.code(), Some(0), "{}", text(&done.stderr));
@@ -269,9 +261,8 @@ fn the_scripts_are_printed_without_slurm() {
     // Slurm reads its lines up to the first one of another kind.
     let last = scripts.rfind("#SBATCH").unwrap();
     assert!(scripts.rfind("module load").unwrap() > last, "{scripts}");
-    assert_eq!(scripts.matches("--report").count(), 1, "the report is the check's: {scripts}");
     assert!(scripts.contains("'--out' 'sweeps' --shard \"$SLURM_ARRAY_TASK_ID/2\"\n"), "{scripts}");
-    assert!(scripts.contains("'--report' '--out' 'sweeps' --check"), "{scripts}");
+    assert!(scripts.contains("'--out' 'sweeps' --check"), "{scripts}");
     assert!(!folder.path().join("sweeps").exists(), "a dry run left something behind");
     // Negative control: the options mean something only with --slurm.
     let wrong =

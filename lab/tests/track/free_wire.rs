@@ -7,7 +7,7 @@ use wcal_core::observation::WhiskerSpec;
 use wcal_lab::dataset::{Dataset, RodSweeps};
 use wcal_lab::model_file::load;
 use wcal_lab::sweep_series::{self, SweepSeries};
-use wcal_sim::{SweepPlan, objects};
+use wcal_lab_sweeps::{SweepPlan, objects};
 use wcal_track::filter::{BayesFilter, BayesSettings};
 use wcal_track::{InverseGrid, Sample, StaticInverse, Tracker};
 

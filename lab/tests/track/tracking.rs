@@ -14,7 +14,7 @@ use wcal_lab::network::attention_bias;
 use wcal_lab::sweep_series::{self, SweepSeries};
 use wcal_lab::train::{TrainSettings, TrainingData, best, train};
 use wcal_lab::train_model::{Seconds, TrainingCost};
-use wcal_sim::{SweepPlan, objects};
+use wcal_lab_sweeps::{SweepPlan, objects};
 use wcal_track::filter::{BayesFilter, BayesSettings, FilterBank};
 use wcal_track::model_file::FORMAT;
 use wcal_track::network::NetworkConfig;

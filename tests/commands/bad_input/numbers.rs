@@ -211,7 +211,6 @@ const PLAN: &str = r#"
 format = "wcal-plan/1"
 name = "p"
 soak_s = 10.0
-board_views = 1
 [settle]
 gate_pm_per_s = 0.5
 window_s = 1.0
@@ -268,7 +267,6 @@ const SCENARIO: &str = r#"
 format = "wcal-scenario/1"
 seed = 1
 speed = 4.0
-plant = "cantilever"
 [stage]
 baud = 9600
 zero_mm = 20.0

@@ -5,8 +5,8 @@ use mujoco_rs::prelude::*;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::VecDeque;
 use std::sync::Once;
+use wcal_mujoco::engine::fluid::FluidLoads;
 use wcal_mujoco::engine::protocol::{Frame, LoadedModel, Reply, Request, Series, Touching};
-use wcal_sim::physics::FluidLoads;
 
 /// What is loaded, and what is known of it.
 #[derive(Default)]

@@ -9,17 +9,18 @@ use not_run::not_run;
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Command, Stdio};
 use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_lab_sweeps::CableEngine;
+use wcal_lab_sweeps::convex::Convex;
+use wcal_lab_sweeps::physics::{Medium, PhysicsPlan};
+use wcal_lab_sweeps::rod_engine::LINKS;
+use wcal_lab_sweeps::{RodEngine, Sweep, SweepPlan, Verdict, objects};
+use wcal_mujoco::MujocoEngine;
 use wcal_mujoco::compare::statics;
-use wcal_mujoco::convex::Convex;
 use wcal_mujoco::dynamics::{Parameters, Targets, fit_dynamics, record};
 use wcal_mujoco::engine::protocol::Request;
 use wcal_mujoco::groove::Preset;
 use wcal_mujoco::labels::labels;
 use wcal_mujoco::mjcf::MjcfOptions;
-use wcal_mujoco::{CableEngine, MujocoEngine};
-use wcal_sim::physics::{Medium, PhysicsPlan};
-use wcal_sim::rod_engine::LINKS;
-use wcal_sim::{RodEngine, Sweep, SweepPlan, Verdict, objects};
 
 fn whisker() -> WhiskerSpec {
     WhiskerSpec::nominal()

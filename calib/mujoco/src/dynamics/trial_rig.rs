@@ -1,17 +1,16 @@
-//! What trials of damping and contact run on: a wire that is let go, one that falls on a plate, and a sweep over a ball by both engines.
+//! What trials of damping and contact run on: a wire that is let go, one that falls on a plate, and one that is led
+//! past a ball at two speeds.
 //!
 //! Let go: the wire bent by F = 3 EI delta / l^3 (small deflection delta of a straight cantilever of length l). Bounce: greatest speed of the
 //! tip between first and second touch over that before, divided by the undamped wire's. Damping per joint c = zeta k, from the paper's joints
 //! of length L / 39: zeta = c L / (39 EI). Source of the cantilever: S. Timoshenko, "Strength of Materials".
 
 use super::{Parameters, Score, Targets, ring_down_s};
-use crate::convex::Convex;
 use crate::engine::protocol::{Request, Series};
 use crate::mjcf::{MjcfOptions, Touch, WorldParts, mjcf_among};
-use crate::rod_comparison::compare_speeds;
 use crate::{MujocoEngine, TwinError};
+use nalgebra::Vector3;
 use wcal_core::observation::{RestShape, WhiskerSpec};
-use wcal_sim::{Mesh, SweepPlan, objects};
 
 /// MuJoCo keeps impedances within these.
 const IMPEDANCES: [f64; 2] = [0.0001, 0.9999];
@@ -27,6 +26,20 @@ const BARE_S: f64 = 1e-3;
 /// Speeds of the sweep, mm/s (the measured pair of docs/src/system.md), and its length, mm.
 const SPEEDS_MM_S: [f64; 2] = [3.2, 7.7];
 const SWEEP_MM: f64 = 28.0;
+/// Way between two samples of the sweep, mm: at the same places at both speeds.
+const SAMPLE_MM: f64 = 0.5;
+/// The ball: radius, middle beside the wire's plane, gap between the base and the part of it in that plane, and way before it is touched, mm.
+const BALL_MM: f64 = 30.0;
+const ASIDE_MM: f64 = -10.0;
+const GAP_MM: f64 = 30.0;
+const LEAD_MM: f64 = 1.0;
+/// Points of the wire at which its reach is looked for.
+const REACH_POINTS: u32 = 200;
+/// Weight of the body that leads the wire, kg: contacts do not move it.
+const BASE_KG: f64 = 1e3;
+/// Share of steps between touching and free past which a sample chatters, and of such samples past which the sweep is no answer.
+const CHATTER: f64 = 0.1;
+const MAX_CHATTER: f64 = 0.2;
 /// Plate: how far the wire at rest is pressed by it, and half its side, mm. Steps that bend the wire, and those watched of one that falls on
 /// the plate and of a free one: a strongly damped wire takes seconds to come back.
 const PRESSED_MM: f64 = 0.5;
@@ -42,9 +55,11 @@ pub(super) struct TrialRig {
     whisker: WhiskerSpec,
     targets: Targets,
     engine: MujocoEngine,
-    ball: (Mesh, Convex),
     ei_nmm2: f64,
     length_mm: f64,
+    /// Of the straight part, at least a third of the wire.
+    straight_mm: f64,
+    /// How far the wire reaches along its root's direction.
     reach_mm: f64,
     bare_bounce: f64,
 }
@@ -52,7 +67,7 @@ pub(super) struct TrialRig {
 impl TrialRig {
     pub(super) fn new(whisker: &WhiskerSpec, targets: Targets) -> Result<Self, TwinError> {
         let section = wcal_rod::Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
-        let (length_mm, reach_mm) = match &whisker.rest_shape {
+        let (length_mm, straight_mm) = match &whisker.rest_shape {
             RestShape::StraightArc { straight_mm, length_mm, .. } => {
                 (*length_mm, straight_mm.max(length_mm / 3.0))
             }
@@ -61,17 +76,17 @@ impl TrialRig {
                 (length, length / 3.0)
             }
         };
-        let mesh = objects::built_in("ball")?;
-        // Convex already: no need of CoACD.
-        let parts = vec![mesh.points().map(Into::into).collect()];
-        let convex = Convex { made_from: "ball".to_owned(), parts, beyond_mm: 0.0, short_mm: 0.0 };
+        let shape = wcal_rod::Shape::new(&whisker.rest_shape, 0.25)
+            .map_err(|e| TwinError::value("whisker", "a wire that can be bent", e.to_string()))?;
+        let along = (0..=REACH_POINTS).map(|k| f64::from(k) / f64::from(REACH_POINTS) * length_mm);
+        let reach_mm = along.map(|s_mm| shape.rest_point(s_mm).x).fold(0.0, f64::max);
         let mut bench = Self {
             whisker: whisker.clone(),
             targets,
             engine: MujocoEngine::start()?,
-            ball: (mesh, convex),
             ei_nmm2: section.ei_nmm2,
             length_mm,
+            straight_mm,
             reach_mm,
             bare_bounce: 1.0,
         };
@@ -103,28 +118,13 @@ impl TrialRig {
         let mut score =
             Score { ring_down_s, bounce_ratio, ripple_nmm: None, bias: None, overlap_mm: None, total: 0.0 };
         if full {
-            let plan = SweepPlan {
-                max_travel_mm: SWEEP_MM,
-                rate_hz: 10.0,
-                gap_mm: [30.0, 30.0],
-                lead_mm: [1.0, 1.0],
-                ..SweepPlan::default()
+            // Without an answer at both speeds there is neither ripple nor bias.
+            let [ripple, bias, overlap] = match SPEEDS_MM_S.map(|speed| self.swept(p, speed)) {
+                [Ok(Some(slow)), Ok(Some(fast))] => compared(&slow, &fast),
+                [Err(e), _] | [_, Err(e)] => return Err(e),
+                _ => [f64::NAN; 3],
             };
-            let rows = compare_speeds(
-                &self.whisker,
-                &self.options(p),
-                std::slice::from_ref(&self.ball),
-                &plan,
-                &SPEEDS_MM_S,
-                1,
-            )?
-            .by_speed;
-            let ripple = rows.iter().map(|r| r.ripple_nmm).fold(0.0, f64::max);
-            let overlap = rows.iter().map(|r| r.overlap_mm).fold(0.0, f64::max);
-            let bias = rows[1].bias - rows[0].bias;
-            // Without a sweep kept there is neither ripple nor bias.
-            let answered = rows.iter().all(|r| r.samples > 0);
-            score.ripple_nmm = Some(if answered { ripple } else { f64::NAN });
+            score.ripple_nmm = Some(ripple);
             (score.bias, score.overlap_mm) = (Some(bias), Some(overlap));
         }
         let square = |d: f64| if d.is_finite() { d * d } else { BROKEN };
@@ -149,6 +149,57 @@ impl TrialRig {
         demands
     }
 
+    /// The wire led past the ball at a speed; none where a step went wrong, the contact chatters, or the wire went through the ball.
+    fn swept(&mut self, p: &Parameters, speed_mm_s: f64) -> Result<Option<Swept>, TwinError> {
+        let mut options = self.options(p);
+        options.touch.friction = 0.0;
+        // In the wire's plane the ball is a circle; along the way of the base its lowest point within the wire's reach is touched first.
+        let circle_mm = leg(BALL_MM, ASIDE_MM);
+        let beyond_mm = (GAP_MM + circle_mm - self.reach_mm).max(0.0);
+        let middle = Vector3::new(GAP_MM + circle_mm, ASIDE_MM, LEAD_MM + leg(circle_mm, beyond_mm)) * 1e-3;
+        let around = WorldParts {
+            bodies: format!(
+                "<geom name=\"ball\" type=\"sphere\" pos=\"{} {} {}\" size=\"{}\" contype=\"2\" conaffinity=\"1\" {}/>",
+                middle.x,
+                middle.y,
+                middle.z,
+                BALL_MM * 1e-3,
+                options.touch.attributes()
+            ),
+            base: [
+                String::new(),
+                format!(
+                    "<inertial pos=\"0 0 0\" mass=\"{BASE_KG}\" diaginertia=\"1 1 1\"/><joint name=\"base\" type=\"slide\" axis=\"0 0 1\"/>"
+                ),
+            ],
+            ..WorldParts::default()
+        };
+        let step_s = self.engine.load(&mjcf_among(&self.whisker, &options, &around)?, false)?.step_s;
+        let (mut swept, mut taken, mut chatter) =
+            (Swept { moments_nmm: Vec::new(), overlap_mm: 0.0 }, 0, 0.0);
+        for place in 1..=(SWEEP_MM / SAMPLE_MM) as u32 {
+            let end = (f64::from(place) * SAMPLE_MM / speed_mm_s / step_s).round() as u64;
+            let steps = end - taken;
+            let frame = self.engine.frame(&Request::Lead {
+                speed_m_s: speed_mm_s * 1e-3,
+                acceleration_m_s2: 0.0,
+                steps,
+            })?;
+            taken = end;
+            let moment = frame.base_moment_nm.filter(|m| !frame.bad && m.iter().all(|x| x.is_finite()));
+            let Some(moment) = moment.filter(|_| frame.deepest_m * 1e3 <= self.whisker.diameter_mm / 2.0)
+            else {
+                return Ok(None);
+            };
+            chatter += f64::from(u8::from(frame.toggles as f64 > CHATTER * steps as f64));
+            let pushed = frame.contacts.iter().filter(|c| Vector3::from(c.force_n).norm() > 0.0);
+            let overlaps: Vec<f64> = pushed.map(|c| -c.gap_m * 1e3).collect();
+            swept.overlap_mm = overlaps.iter().copied().fold(swept.overlap_mm, f64::max);
+            swept.moments_nmm.push((!overlaps.is_empty()).then(|| Vector3::from(moment) * 1e3));
+        }
+        Ok(Some(swept).filter(|s| chatter <= MAX_CHATTER * s.moments_nmm.len() as f64))
+    }
+
     /// The wire bent aside and let go, with or without a plate that it falls on.
     fn released(&mut self, p: &Parameters, plate: bool) -> Result<Series, TwinError> {
         let options = self.options(p);
@@ -159,17 +210,17 @@ impl TrialRig {
             let y = (PRESSED_MM - radius_mm - PLATE_MM) * 1e-3;
             around.bodies = format!(
                 "<geom name=\"plate\" type=\"box\" pos=\"{} {y} 0\" size=\"{half} {half} {half}\" contype=\"2\" conaffinity=\"1\" {}/>",
-                self.reach_mm * 0.9e-3,
+                self.straight_mm * 0.9e-3,
                 options.touch.attributes(),
                 half = PLATE_MM * 1e-3
             );
         }
         self.engine.load(&mjcf_among(&self.whisker, &options, &around)?, false)?;
-        let deflection = DEFLECTION * self.reach_mm;
+        let deflection = DEFLECTION * self.straight_mm;
         // The force that bends a cantilever by the deflection.
-        let force_n = 3.0 * self.ei_nmm2 * deflection / self.reach_mm.powi(3);
+        let force_n = 3.0 * self.ei_nmm2 * deflection / self.straight_mm.powi(3);
         let link_mm = self.length_mm / options.links as f64;
-        let link = ((self.reach_mm / link_mm) as usize).saturating_sub(1);
+        let link = ((self.straight_mm / link_mm) as usize).saturating_sub(1);
         self.engine.frame(&Request::Push {
             body: format!("link{link}"),
             along_m: link_mm * 1e-3,
@@ -178,6 +229,33 @@ impl TrialRig {
         })?;
         self.engine.series(if plate { PLATE_STEPS } else { FREE_STEPS }, 1)
     }
+}
+
+/// A sweep over the ball.
+struct Swept {
+    /// Moments at the root, place after place, N mm; none where the wire is free.
+    moments_nmm: Vec<Option<Vector3<f64>>>,
+    /// Deepest overlap with the ball, mm.
+    overlap_mm: f64,
+}
+
+/// The other leg of a right triangle.
+fn leg(long: f64, short: f64) -> f64 {
+    (long * long - short * short).max(0.0).sqrt()
+}
+
+/// Ripple (N mm), bias by the speed, and overlap (mm) of two sweeps.
+///
+/// Ripple: RMS of m_i - (m_(i-1) + m_i + m_(i+1)) / 3; bias: sum |m_i| of the fast sweep over that of the slow one where both touch, less 1.
+fn compared(slow: &Swept, fast: &Swept) -> [f64; 3] {
+    let ripple = |s: &Swept| {
+        let off = |w: &[Option<Vector3<f64>>]| Some((w[1]? - (w[0]? + w[1]? + w[2]?) / 3.0).norm_squared());
+        let squares: Vec<f64> = s.moments_nmm.windows(3).filter_map(off).collect();
+        (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+    };
+    let both = slow.moments_nmm.iter().zip(&fast.moments_nmm).filter_map(|(s, f)| Some(((*s)?, (*f)?)));
+    let sums = both.fold([0.0; 2], |[a, b], (s, f)| [a + s.norm(), b + f.norm()]);
+    [ripple(slow).max(ripple(fast)), sums[1] / sums[0] - 1.0, slow.overlap_mm.max(fast.overlap_mm)]
 }
 
 /// Fastest tip between the first touch and the next over the fastest before it; 0 where it stays on the plate, none where a step went

@@ -1,7 +1,7 @@
 //! What `wcal` and `wcal-mujoco` say to each other: one request a line, one reply a line. SI units, world frame.
 
+use super::fluid::FluidLoads;
 use serde::{Deserialize, Serialize};
-use wcal_sim::physics::FluidLoads;
 
 /// What is asked.
 #[derive(Debug, Clone, Serialize, Deserialize)]

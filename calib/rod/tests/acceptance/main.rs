@@ -2,12 +2,10 @@
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 mod contact;
-mod discrete_contact;
 mod elastica;
 mod elliptic;
 mod laws;
 mod order;
-mod physics;
 mod rest_fit;
 mod stability;
 mod touch;

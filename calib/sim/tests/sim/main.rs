@@ -10,5 +10,3 @@
 
 mod meshes;
 mod outside;
-mod physics;
-mod sweeps;

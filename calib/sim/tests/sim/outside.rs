@@ -2,8 +2,8 @@
 
 use nalgebra::Vector3;
 use std::path::Path;
+use wcal_lab_sweeps::objects::built_in;
 use wcal_sim::Mesh;
-use wcal_sim::objects::built_in;
 
 /// The bottle of the measured sweep is a shell: points a little within its inner wall are near that, and far from the outer one.
 #[test]

@@ -1,4 +1,4 @@
-//! The virtual bench's session calibrated as a user would: by `fit-gpr` with each kind of map, and by `verify`.
+//! The virtual bench's session calibrated as a user would: by `fit-gpr` and by `verify`.
 
 use crate::evaluation::BenchCalibration;
 use anyhow::bail;
@@ -9,7 +9,7 @@ use wcal::output::OutputFolder;
 use wcal::verify::{self, verify_session};
 use wcal_calibration::{CalibrationModel, read_calibration};
 use wcal_core::SessionData;
-use wcal_map::{FitOptions, MapKind, fit_map};
+use wcal_map::{FitOptions, fit_map};
 
 /// Calibrates the session; the results of `verify` go into a folder beside it.
 pub fn calibrate(folder: &Path, seed: u64) -> anyhow::Result<BenchCalibration> {
@@ -20,11 +20,6 @@ pub fn calibrate(folder: &Path, seed: u64) -> anyhow::Result<BenchCalibration> {
         FitOptions { labels: labels.source.clone(), fbg: data.fbg.clone(), ..FitOptions::default() };
     let training = training_set(data, &labels).0;
     let map = CalibrationModel::Map(fit_map(&training, &options)?.artefact);
-    let one_kind = |kind: MapKind| {
-        let options = FitOptions { candidates: vec![kind], ..options.clone() };
-        Ok((kind.name(), CalibrationModel::Map(fit_map(&training, &options)?.artefact)))
-    };
-    let maps = MapKind::ALL.into_iter().map(one_kind).collect::<anyhow::Result<_>>()?;
     let results = folder.with_file_name("verify");
     let mut out = OutputFolder::open(&verify::RESULT, &results, false)?;
     let report = verify_session(&session, &mut out, verify::searching(seed, None), None, None)?;
@@ -33,7 +28,6 @@ pub fn calibrate(folder: &Path, seed: u64) -> anyhow::Result<BenchCalibration> {
     let verified = if calibration.exists() { Some(read_calibration(&calibration)?.model) } else { None };
     Ok(BenchCalibration {
         map,
-        maps,
         verified,
         verdict: report.verify.verdict,
         accepted: report.verify.effects.iter().map(|e| e.id.clone()).collect(),

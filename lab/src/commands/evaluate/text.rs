@@ -1,23 +1,28 @@
 //! What a person reads of an evaluation in the terminal.
 
-use super::report::stated;
+use crate::evaluation::MethodScores;
 use crate::evaluation::document::mean;
-use crate::evaluation::{MethodScores, slope_s};
 use serde_json::Value;
 
-/// Methods, streaming, and the tables.
-pub(super) fn print(scores: &[MethodScores], document: &Value) {
-    if document["quick"] == true {
-        println!("QUICK: few objects and sweeps, wide intervals");
+/// `0.22 [0.18, 0.27]` out of a row, `-` where there is no value.
+fn stated(row: &Value, key: &str) -> String {
+    let Some(value) = row[key].as_f64() else { return "-".to_owned() };
+    let interval: Vec<f64> =
+        row["interval95"][key].as_array().into_iter().flatten().flat_map(Value::as_f64).collect();
+    match interval[..] {
+        [low, high] => format!("{value:.2} [{low:.2}, {high:.2}]"),
+        _ => format!("{value:.2}"),
     }
+}
+
+/// Methods, and the tables.
+pub(super) fn print(scores: &[MethodScores], document: &Value) {
     print_methods(scores, document);
-    let streaming = &document["streaming"];
-    println!("streaming: {} samples/s, p99 {} us", streaming["samples_per_s"], streaming["p99_us"]);
-    print_tables(document);
+    print_bench(document);
     print_test_objects(document);
 }
 
-fn print_tables(document: &Value) {
+fn print_bench(document: &Value) {
     let number = |v: &Value| v.as_f64().unwrap_or(f64::NAN);
     let real = &document["virtual_real"];
     if real.is_null() {
@@ -47,57 +52,6 @@ fn print_tables(document: &Value) {
             known["trajectories_held"],
             known["trajectories"]
         );
-    }
-    let faces = &document["faces"];
-    for (name, of) in [("moments only", &faces["speed_not_known"]), ("speed known", faces)] {
-        let [seen, unseen] = ["seen_mean_mm", "unseen_mean_mm"].map(|k| stated(of, k));
-        println!(
-            "upright, four faces, no jumps (the paper's table I), {name}: seen {seen}, unseen {unseen} mm"
-        );
-    }
-    for r in faces["methods"].as_array().into_iter().flatten() {
-        let [set, name] = ["set", "method"].map(|k| r[k].as_str().unwrap_or(""));
-        println!("  {set:7} {name:21} {:>19}", stated(r, "rmse_mm"));
-    }
-    let rows = |name: &str| document[name].as_array().cloned().unwrap_or_default();
-    for r in rows("ablations") {
-        println!(
-            "  {:28} {:>20} {:>20}",
-            r["name"].as_str().unwrap_or(""),
-            stated(&r, "rmse_mm"),
-            stated(&r, "followed_rmse_mm")
-        );
-    }
-    for r in rows("noise") {
-        println!(
-            "  noise {:12} {:>20} mm from the surface; 90 % regions hold {:.3}",
-            r["noise"].as_str().unwrap_or(""),
-            stated(&r, "rmse_mm"),
-            number(&r["coverage90"])
-        );
-    }
-    let speeds = rows("speed");
-    if speeds.is_empty() {
-        return;
-    }
-    println!("speed mm/s: constant, random (mm)");
-    for r in &speeds {
-        println!(
-            "  {:4.0} {:>20} {:>20}",
-            number(&r["mm_s"]),
-            stated(r, "constant_mm"),
-            stated(r, "random_mm")
-        );
-    }
-    let slope = |key: &str| {
-        let point = |r: &Value| Some([r["mm_s"].as_f64()?, r[key].as_f64()?]);
-        slope_s(&speeds.iter().filter_map(point).collect::<Vec<_>>())
-    };
-    println!("  slope {:.3} s, {:.3} s", slope("constant_mm"), slope("random_mm"));
-    println!("simulation, virtual air, virtual water (mm)");
-    for r in rows("sim2real") {
-        let [s, a, w] = ["simulation_mm", "air_mm", "water_mm"].map(|k| stated(&r, k));
-        println!("  {:18} {s:>20} {a:>20} {w:>20}", r["name"].as_str().unwrap_or(""));
     }
 }
 
@@ -145,5 +99,18 @@ fn print_test_objects(document: &Value) {
             stated(r, "true_contact_rmse_mm"),
             r["coverage90"].as_f64().unwrap_or(f64::NAN)
         );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_value_stands_with_its_interval_or_as_a_dash() {
+        assert_eq!(stated(&json!({"seen_mean_mm": null}), "seen_mean_mm"), "-");
+        let row = json!({"rmse_mm": 0.224, "interval95": {"rmse_mm": [0.18, 0.27]}});
+        assert_eq!(stated(&row, "rmse_mm"), "0.22 [0.18, 0.27]");
     }
 }

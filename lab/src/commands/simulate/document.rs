@@ -1,20 +1,18 @@
 //! `dataset.json`, and its summary for a person.
 
 use super::SimulateArgs;
-use crate::dataset::{Dataset, Total, mujoco, rod_comparison, shard};
+use crate::dataset::{Dataset, Total, mujoco, shard};
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use wcal::picture_output::provenance;
 use wcal_core::Provenance;
-use wcal_mujoco::MujocoEngine;
-use wcal_mujoco::compare::{Statics, statics};
-use wcal_mujoco::convex::Convex;
+use wcal_lab_sweeps::SweepPlan;
+use wcal_lab_sweeps::convex::Convex;
+use wcal_lab_sweeps::rod_comparison::{ComparisonSum, RodComparison};
+use wcal_lab_sweeps::rod_engine::LINKS;
 use wcal_mujoco::mjcf::MjcfOptions;
-use wcal_mujoco::rod_comparison::RodComparison;
-use wcal_sim::SweepPlan;
-use wcal_sim::rod_engine::LINKS;
 
 /// What the summary warns of.
 pub struct Faults {
@@ -32,9 +30,6 @@ pub struct Twin {
     /// MuJoCo's sweeps against the rod's (engine mujoco).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub against_rod: Option<RodComparison>,
-    /// The links alone under the rod's force (engine mujoco).
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub statics: Option<Statics>,
     /// Convex parts by object (engine mujoco).
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub convex: BTreeMap<String, ConvexRow>,
@@ -54,17 +49,11 @@ pub struct ConvexRow {
 }
 
 impl Twin {
-    /// Of the dataset's shards in a folder; nothing where the rod made them.
-    ///
-    /// # Errors
-    /// Where a shard cannot be read.
-    pub fn of(dataset: &Dataset, mujoco: Option<&MjcfOptions>, folder: &Path) -> anyhow::Result<Self> {
-        let Some(options) = mujoco else { return Ok(Self::default()) };
-        // A node that only checks shards may be without the engine.
-        let statics =
-            MujocoEngine::start().and_then(|mut engine| statics(&mut engine, &dataset.whisker, options));
-        if let Err(e) = &statics {
-            eprintln!("simulate: the links' own error is not measured: {e}");
+    /// Of a dataset in a folder; nothing where the rod made it.
+    pub fn of(dataset: &Dataset, totals: &BTreeMap<String, Total>, folder: &Path) -> Self {
+        let mut sum: Option<ComparisonSum> = None;
+        for more in totals.values().filter_map(|t| t.against_rod.as_ref()) {
+            sum.get_or_insert_default().merge(more);
         }
         let row = |c: Convex| ConvexRow {
             parts: c.parts.len(),
@@ -72,14 +61,9 @@ impl Twin {
             short_mm: c.short_mm,
             hausdorff_mm: c.hausdorff_mm(),
         };
-        Ok(Self {
-            against_rod: Some(rod_comparison::of_dataset(dataset, folder)?),
-            statics: statics.ok(),
-            convex: mujoco::convex_parts(dataset, folder)
-                .into_iter()
-                .map(|(name, c)| (name, row(c)))
-                .collect(),
-        })
+        let Some(sum) = sum else { return Self::default() };
+        let parts = mujoco::convex_parts(dataset, folder).into_iter();
+        Self { against_rod: Some(sum.table()), convex: parts.map(|(name, c)| (name, row(c))).collect() }
     }
 }
 
@@ -232,15 +216,7 @@ pub fn print(document: &DatasetDocument, totals: &BTreeMap<String, Total>) {
             c.parts, c.hausdorff_mm, c.beyond_mm, c.short_mm
         );
     }
-    if let Some(s) = &twin.statics {
-        println!(
-            "links alone, under the continuous rod's own force ({} links): base moment off by {:.3} %, loaded point by {:.3} %",
-            s.links,
-            s.moment_error * 100.0,
-            s.point_error * 100.0
-        );
-    }
     if let Some(table) = &twin.against_rod {
-        print!("MuJoCo against the rod on the same sweeps:\n{}", rod_comparison::Printed(table));
+        print!("{table}");
     }
 }

@@ -9,8 +9,8 @@ use std::path::Path;
 use std::sync::Arc;
 use wcal::picture_output::write;
 use wcal::progress::Progress;
+use wcal_lab_sweeps::SweepPlan;
 use wcal_mujoco::mjcf::MjcfOptions;
-use wcal_sim::SweepPlan;
 
 /// Shards made again that are named one by one.
 const MAX_REPEATS_SHOWN: usize = 5;
@@ -105,7 +105,7 @@ impl Order {
             eprintln!("simulate: {line}");
         }
         let mujoco = self.mujoco.as_ref();
-        let twin = Twin::of(&self.dataset, mujoco, &args.out)?;
+        let twin = Twin::of(&self.dataset, totals, &args.out);
         let faults = Faults { left_out: self.left_out.clone(), notes, missing };
         let document = document(args, &self.dataset, mujoco, totals, faults, twin);
         let [share, shares] = self.dataset.share;

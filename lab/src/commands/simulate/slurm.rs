@@ -1,11 +1,10 @@
-//! `wcal-lab simulate --slurm`: a job array over the shards that are missing, and a job that checks and sums up once all tasks ended.
+//! `wcal-lab simulate --slurm`: a job array over the shards, and a job that checks and sums up once all tasks ended.
 
 use crate::dataset::Dataset;
 use anyhow::{Context, bail, ensure};
 use clap::Args;
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
+use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use wcal::picture_output::write;
@@ -20,7 +19,7 @@ const OWN: [(&str, bool); 5] =
 #[derive(Debug, Default, Args)]
 #[command(next_help_heading = "Slurm")]
 pub struct SlurmArgs {
-    /// Submit a job array for the missing shards, and a job that checks and sums up. HEADER begins both scripts: lines "#SBATCH --partition=long"
+    /// Submit a job array over the shards, and a job that checks and sums up. HEADER begins both scripts: lines "#SBATCH --partition=long"
     /// (time, memory, account, cores: --cpus-per-task), then shell lines such as "module load". --out is a folder that all nodes share
     #[arg(long, value_name = "HEADER", conflicts_with_all = ["check", "shard"])]
     pub slurm: Option<PathBuf>,
@@ -32,41 +31,23 @@ pub struct SlurmArgs {
     pub dry_run: bool,
 }
 
-/// What `wcal-lab simulate --slurm` handed in last.
-#[derive(Debug, Serialize, Deserialize, JsonSchema)]
+/// What `wcal-lab simulate --slurm` handed in.
+#[derive(Debug, Serialize, JsonSchema)]
 pub struct Submission {
     /// Format and version.
     #[schemars(extend("const" = FORMAT))]
-    format: String,
-    /// Job numbers; none where nothing was missing.
-    array_job: Option<String>,
+    format: &'static str,
+    /// Number of the array of jobs.
+    array_job: String,
     /// Number of the job that checks.
-    check_job: Option<String>,
-    /// Tasks of the array that were handed in, as sbatch takes them.
-    tasks: String,
-    /// Shards that were missing, and in all.
-    missing: usize,
-    /// Shards in all.
+    check_job: String,
+    /// Tasks of the array.
+    tasks: usize,
+    /// Shards in all; a task passes over those that are there.
     shards: usize,
 }
 
-/// The two scripts.
-struct Scripts {
-    array: String,
-    check: String,
-}
-
-/// What became of the request.
-pub enum RequestOutcome {
-    /// Printed only.
-    Printed,
-    /// To Slurm.
-    Submitted(Submission),
-    /// Nothing is missing: check here and now.
-    Complete,
-}
-
-/// Hands the missing shards to Slurm.
+/// Hands the dataset to Slurm; none where the scripts are only printed.
 ///
 /// # Errors
 /// Where an earlier submission still runs, or Slurm refuses.
@@ -74,75 +55,49 @@ pub fn submit(
     (args, header): (&SlurmArgs, &Path),
     out: &Path,
     dataset: &Dataset,
-) -> anyhow::Result<RequestOutcome> {
+) -> anyhow::Result<Option<Submission>> {
     ensure!(args.slurm_tasks > 0, "--slurm-tasks: expected 1 or more, found 0");
     let header =
         wcal_core::files::read_text(header).with_context(|| format!("reading {}", header.display()))?;
     let here = std::env::current_dir().context("finding the current folder")?;
     let folder = here.join(out).join("slurm");
-    let whole = dataset.survey(out)?;
+    let shards = dataset.shards().len();
     // More tasks than shards would do nothing.
-    let tasks = args.slurm_tasks.min(whole.shards);
-    let unfinished: BTreeSet<usize> = whole.missing.iter().map(|m| m.number % tasks + 1).collect();
-    let unfinished: Vec<usize> = unfinished.into_iter().collect();
-    if unfinished.is_empty() && !args.dry_run {
-        return Ok(RequestOutcome::Complete);
-    }
-    let array = ranges(&unfinished);
+    let tasks = args.slurm_tasks.min(shards);
     let job = Job { here: &here, folder: &folder, header: header.trim() };
-    let scripts = job.scripts(&array, tasks)?;
+    let [array, check] = job.scripts(tasks)?;
     if args.dry_run {
-        println!("# slurm/array.sh\n{}\n# slurm/check.sh\n{}", scripts.array, scripts.check);
-        return Ok(RequestOutcome::Printed);
+        println!("# slurm/array.sh\n{array}\n# slurm/check.sh\n{check}");
+        return Ok(None);
     }
     refuse_a_second(&folder)?;
-    write(&folder, "array.sh", scripts.array.as_bytes())?;
-    write(&folder, "check.sh", scripts.check.as_bytes())?;
+    write(&folder, "array.sh", array.as_bytes())?;
+    write(&folder, "check.sh", check.as_bytes())?;
     let array_job = sbatch(&[], &folder.join("array.sh"))?;
     // After any end: the check names what a failed task left out.
     let check_job = sbatch(&[format!("--dependency=afterany:{array_job}")], &folder.join("check.sh"))?;
-    let submission = Submission {
-        format: FORMAT.to_owned(),
-        array_job: Some(array_job),
-        check_job: Some(check_job),
-        tasks: array,
-        missing: whole.missing.len(),
-        shards: whole.shards,
-    };
+    let submission = Submission { format: FORMAT, array_job, check_job, tasks, shards };
     write(&folder, "submission.json", serde_json::to_string_pretty(&submission)?.as_bytes())?;
-    Ok(RequestOutcome::Submitted(submission))
+    Ok(Some(submission))
 }
 
 impl Submission {
     /// For a person.
     pub fn print(&self) {
-        if let (Some(array), Some(check)) = (&self.array_job, &self.check_job) {
-            println!(
-                "{} of {} shards are to be made: job array {array}, tasks {}",
-                self.missing, self.shards, self.tasks
-            );
-            println!("job {check} checks them and writes dataset.json when all tasks have ended");
-        }
+        println!("job array {}: {} shards in {} tasks", self.array_job, self.shards, self.tasks);
+        println!("job {} checks them and writes dataset.json when all tasks have ended", self.check_job);
     }
 }
 
 /// Two arrays over one folder would make the same shards twice.
 fn refuse_a_second(folder: &Path) -> anyhow::Result<()> {
-    let path = folder.join("submission.json");
-    let Ok(text) = wcal_core::files::read_text(&path) else { return Ok(()) };
-    let last: Submission =
-        wcal_core::document::json_as(&text).with_context(|| format!("reading {}", path.display()))?;
-    for job in last.array_job.iter().chain(&last.check_job) {
-        let found = Command::new("squeue").args(["--noheader", "--format=%i %T", "--jobs", job]).output();
+    let Ok(text) = wcal_core::files::read_text(folder.join("submission.json")) else { return Ok(()) };
+    let last = wcal_core::document::json(&text)?;
+    for job in ["array_job", "check_job"].iter().filter_map(|key| last[key].as_str()) {
+        let found = Command::new("squeue").args(["--noheader", "--format=%i", "--jobs", job]).output();
         // A job that ended some minutes ago is unknown: squeue fails, and so it may.
-        let Ok(found) = found else { continue };
-        let queued = String::from_utf8_lossy(&found.stdout);
-        if found.status.success() && !queued.trim().is_empty() {
-            bail!(
-                "expected no job of an earlier submission to this folder in the queue, found {}: wait, or scancel {job}",
-                queued.trim().replace('\n', ", ")
-            );
-        }
+        let queued = found.is_ok_and(|f| f.status.success() && !f.stdout.trim_ascii().is_empty());
+        ensure!(!queued, "expected no job of an earlier submission to this folder in the queue, found {job}");
     }
     Ok(())
 }
@@ -166,15 +121,12 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    fn scripts(&self, array: &str, tasks: usize) -> anyhow::Result<Scripts> {
+    /// Those of the array and of the check.
+    fn scripts(&self, tasks: usize) -> anyhow::Result<[String; 2]> {
         let program = std::env::current_exe().context("finding this program")?;
-        let program = utf8(&program)?.to_owned();
         let words: Vec<String> = std::env::args().skip(1).collect();
-        let words: Vec<String> = [program].into_iter().chain(kept(&words)).collect();
-        let line = |words: &[String]| words.iter().map(|w| quoted(w)).collect::<Vec<_>>().join(" ");
-        let check = line(&words);
-        // The report is on the whole, not on a share.
-        let command = line(&words.into_iter().filter(|w| w != "--report").collect::<Vec<_>>());
+        let words = [utf8(&program)?.to_owned()].into_iter().chain(kept(&words));
+        let command = words.map(|w| quoted(&w)).collect::<Vec<_>>().join(" ");
         let work = format!(
             "export RAYON_NUM_THREADS=\"${{SLURM_CPUS_PER_TASK:-1}}\"\n\
              {command} --shard \"$SLURM_ARRAY_TASK_ID/{tasks}\"\n\
@@ -183,11 +135,11 @@ impl Job<'_> {
              if [ \"$code\" -eq 3 ]; then code=0; fi\n\
              exit \"$code\"\n"
         );
-        let array = format!("#SBATCH --array={array}\n");
-        Ok(Scripts {
-            array: self.head("array", &array, "task-%a.log")? + &work,
-            check: self.head("check", "", "check.log")? + &format!("exec {check} --check\n"),
-        })
+        let array = format!("#SBATCH --array=1-{tasks}\n");
+        Ok([
+            self.head("array", &array, "task-%a.log")? + &work,
+            self.head("check", "", "check.log")? + &format!("exec {command} --check\n"),
+        ])
     }
 
     /// Lines of sbatch, this command's before the user's: Slurm reads them up to the first line of another kind.
@@ -231,29 +183,9 @@ fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }
 
-/// "1-3,7" for 1, 2, 3, 7.
-fn ranges(sorted: &[usize]) -> String {
-    let mut parts: Vec<[usize; 2]> = Vec::new();
-    for &k in sorted {
-        match parts.last_mut() {
-            Some(last) if last[1] + 1 == k => last[1] = k,
-            _ => parts.push([k, k]),
-        }
-    }
-    let text: Vec<String> =
-        parts.iter().map(|[a, b]| if a == b { a.to_string() } else { format!("{a}-{b}") }).collect();
-    text.join(",")
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{kept, quoted, ranges};
-
-    #[test]
-    fn tasks_are_written_as_ranges() {
-        assert_eq!(ranges(&[1, 2, 3, 7, 9, 10]), "1-3,7,9-10");
-        assert_eq!(ranges(&[4]), "4");
-    }
+    use super::{kept, quoted};
 
     #[test]
     fn the_jobs_take_over_what_is_not_about_slurm() {

@@ -14,7 +14,8 @@ use wcal::output::{Overwrite, within};
 use wcal::picture_output::write;
 use wcal::progress::Progress;
 use wcal_core::observation::WhiskerSpec;
-use wcal_sim::{Mesh, SweepPlan, objects};
+use wcal_lab_sweeps::{SweepPlan, objects};
+use wcal_sim::Mesh;
 
 /// Sweeps to train on.
 pub struct Sweeps {
@@ -102,7 +103,6 @@ fn arguments(args: &TrainArgs) -> SimulateArgs {
         check: false,
         out: PathBuf::new(),
         overwrite: Overwrite { force: false },
-        report: false,
         json: false,
         slurm: SlurmArgs::default(),
     }

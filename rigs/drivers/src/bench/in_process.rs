@@ -53,7 +53,7 @@ pub struct InProcess {
 
 impl InProcess {
     /// A bench whose time stands.
-    pub fn new(scenario: Scenario, plant: Option<Box<dyn Plant>>) -> Self {
+    pub fn new(scenario: Scenario, plant: Box<dyn Plant>) -> Self {
         let answers = ChaCha8Rng::seed_from_u64(scenario.seed ^ 0xa5);
         let shared = BenchState::by_clock(scenario, plant, BenchClock::standing());
         shared.scan();

@@ -69,11 +69,11 @@ pub struct VirtualBench {
 }
 
 impl VirtualBench {
-    /// Starts all devices on loopback ports chosen by the system; `plant` replaces the built-in cantilever.
+    /// Starts all devices on loopback ports chosen by the system; `plant` is the wire.
     ///
     /// # Errors
     /// When a port or the pseudo-terminal cannot be opened.
-    pub fn start(scenario: Scenario, plant: Option<Box<dyn Plant>>) -> io::Result<Self> {
+    pub fn start(scenario: Scenario, plant: Box<dyn Plant>) -> io::Result<Self> {
         let (camera_count, speed) = (scenario.cameras.count, scenario.speed);
         let shared = BenchState::new(scenario, plant);
         let mut threads = Vec::new();

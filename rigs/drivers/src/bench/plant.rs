@@ -3,12 +3,10 @@
 //! ```text
 //! play         x_c = clamp(x_c, x - b / 2, x + b / 2)                          x: screw with its errors, b: backlash
 //! delay        d += (1 - exp(-dt / t_lag)) (x_c - d)
-//! wire         m = arm F,   F = d / C (1 + CUBIC (d / reach)^2),   C = integral of |m_b|^2 / E I + m_t^2 / G J along s under a unit force
+//! wire         m = m(d), by another model ([`Plant`])
 //! creep        c += (1 - exp(-dt / t_creep)) (m - c),   M = m + f c            one Prony term
 //! wavelength   l_g = l_g0 + (K_g . M) (1 + q K_g . M / |K_g|) + zero_g + kappa_g (T - 21) + drift + noise
 //! ```
-//!
-//! Source of the compliance: Castigliano's second theorem (S. P. Timoshenko, J. M. Gere, "Mechanics of Materials").
 
 use super::scenario::{Scenario, WhiskerScenario};
 use super::scene::Scene;
@@ -22,10 +20,10 @@ use std::sync::Arc;
 const SCREW_LEAD_MM: f64 = 0.6096;
 /// Temperature of the nominal wavelengths, deg C.
 const NOMINAL_DEGC: f64 = 21.0;
-/// Pieces of the wire in the compliance integral.
+/// Pieces of the wire in which its place nearest to a point is looked for.
 const PIECES: usize = 600;
 
-/// Base moment of the wire at a depth of the groove; another model can be plugged in.
+/// Base moment of the wire at a depth of the groove.
 pub trait Plant: Send {
     /// Moments about base y and z (N mm) for trajectory `id` at `depth_mm` past first contact (negative: none).
     fn moment_nmm(&mut self, id: u32, depth_mm: f64) -> [f64; 2];
@@ -64,66 +62,6 @@ pub fn rest_arclength_mm(whisker: &WhiskerScenario, point_mm: [f64; 3]) -> f64 {
     (low + high) / 2.0
 }
 
-/// First-order compliance of the curved wire (Castigliano) with a cubic term: quasi-static, frictionless.
-#[derive(Debug, Clone)]
-pub struct Cantilever {
-    paths: Vec<(u32, Path)>,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Path {
-    /// Base moment per unit force, mm.
-    arm_mm: [f64; 2],
-    /// Deflection along the path per unit force, mm/N.
-    compliance_mm_per_n: f64,
-    /// Length that makes the cubic term, mm.
-    reach_mm: f64,
-}
-
-/// Stiffening of a cantilever that is pressed sideways, per (depth / reach)^2.
-const CUBIC: f64 = 0.6;
-
-impl Cantilever {
-    /// The wire and paths of a scenario.
-    pub fn new(scenario: &Scenario) -> Self {
-        let w = &scenario.whisker;
-        // Second moments of a round wire, mm^4; E in N/mm^2.
-        let i = std::f64::consts::PI * w.diameter_mm.powi(4) / 64.0;
-        let (bending, torsion) = (w.youngs_gpa * 1e3 * i, w.shear_gpa * 1e3 * 2.0 * i);
-        let trajectories = scenario.trajectories();
-        let paths = trajectories.iter().map(|t| {
-            let origin = Vector3::from(t.origin_mm);
-            let push = Vector3::from(t.direction).normalize();
-            let contact = rest_arclength_mm(w, t.origin_mm);
-            let ds = contact / PIECES as f64;
-            let compliance = (0..PIECES)
-                .map(|k| {
-                    let (point, tangent) = rest_point(w, (k as f64 + 0.5) * ds);
-                    let m = (origin - Vector3::from(point)).cross(&push);
-                    let twist = m.dot(&Vector3::from(tangent));
-                    ((m.norm_squared() - twist * twist) / bending + twist * twist / torsion) * ds
-                })
-                .sum();
-            let arm = origin.cross(&push);
-            let path =
-                Path { arm_mm: [arm.y, arm.z], compliance_mm_per_n: compliance, reach_mm: origin.norm() };
-            (t.id, path)
-        });
-        Self { paths: paths.collect() }
-    }
-}
-
-impl Plant for Cantilever {
-    fn moment_nmm(&mut self, id: u32, depth_mm: f64) -> [f64; 2] {
-        let Some((_, path)) = self.paths.iter().find(|(p, _)| *p == id).filter(|_| depth_mm > 0.0) else {
-            return [0.0; 2];
-        };
-        let stretch = depth_mm / path.reach_mm;
-        let force_n = depth_mm / path.compliance_mm_per_n * (1.0 + CUBIC * stretch * stretch);
-        path.arm_mm.map(|a| a * force_n)
-    }
-}
-
 /// The sensor in its surroundings: stage errors, plant, memory, temperature, noise. Stepped once a scan.
 pub struct Physics {
     scenario: Scenario,
@@ -139,10 +77,10 @@ pub struct Physics {
 }
 
 impl Physics {
-    /// The sensor of a scenario with its own cantilever or another plant.
-    pub fn new(scenario: &Scenario, plant: Option<Box<dyn Plant>>) -> Self {
+    /// The sensor of a scenario with a wire.
+    pub fn new(scenario: &Scenario, plant: Box<dyn Plant>) -> Self {
         Self {
-            plant: plant.unwrap_or_else(|| Box::new(Cantilever::new(scenario))),
+            plant,
             rng: ChaCha8Rng::seed_from_u64(scenario.seed),
             scenario: scenario.clone(),
             last_s: 0.0,
@@ -255,26 +193,23 @@ impl Physics {
 mod tests {
     use super::*;
 
+    /// A wire whose moment grows with the depth.
+    struct Spring;
+
+    impl Plant for Spring {
+        fn moment_nmm(&mut self, _: u32, depth_mm: f64) -> [f64; 2] {
+            [-0.2 * depth_mm.max(0.0), 0.0]
+        }
+    }
+
     fn scenario(extra: &str) -> Scenario {
         Scenario::parse(&format!("format = \"wcal-scenario/1\"\n{extra}")).unwrap()
     }
 
     #[test]
-    fn a_straight_wire_has_the_textbook_stiffness() {
-        let s = scenario("");
-        let mut plant = Cantilever::new(&s);
-        // m = 3 E I d / L^2 at 18 mm; E I = 29.82 N mm^2.
-        let ei = 75e3 * std::f64::consts::PI * 0.3_f64.powi(4) / 64.0;
-        let m = plant.moment_nmm(1, 0.01);
-        assert!((m[0] + 3.0 * ei * 0.01 / 324.0).abs() < 1e-5, "{m:?}");
-        assert_eq!(plant.moment_nmm(1, -0.1), [0.0; 2]);
-        assert_eq!(plant.moment_nmm(99, 1.0), [0.0; 2]);
-    }
-
-    #[test]
     fn the_same_seed_gives_the_same_scans_and_another_does_not() {
         let run = |seed: u64| {
-            let mut p = Physics::new(&scenario(&format!("seed = {seed}")), None);
+            let mut p = Physics::new(&scenario(&format!("seed = {seed}")), Box::new(Spring));
             (0..50).map(|k| p.step(f64::from(k) * 5e-4, 1, 22.0)).collect::<Vec<_>>()
         };
         assert_eq!(run(3), run(3));
@@ -285,7 +220,7 @@ mod tests {
     fn backlash_shows_after_a_reversal_and_only_then() {
         let quiet = "[interrogator]\nnoise_pm = 0\n[temperature]\ndrift_degc_per_h = 0\nswing_degc = 0\n";
         let shift = |effects: &str| {
-            let mut p = Physics::new(&scenario(&format!("{quiet}[effects]\n{effects}")), None);
+            let mut p = Physics::new(&scenario(&format!("{quiet}[effects]\n{effects}")), Box::new(Spring));
             let path = |k: i32| 20.0 + 0.01 * f64::from(if k <= 200 { k } else { 400 - k });
             let all: Vec<f64> = (0..=300).map(|k| p.step(f64::from(k) * 0.01, 1, path(k))[1]).collect();
             (all[100], all[300])

@@ -72,9 +72,6 @@ pub struct Scenario {
     /// Bench seconds per wall second.
     #[serde(default = "one")]
     pub speed: f64,
-    /// What the wire is made of.
-    #[serde(default)]
-    pub plant: PlantKind,
     /// The linear stage.
     #[serde(default)]
     pub stage: StageScenario,
@@ -147,17 +144,6 @@ impl Scenario {
 
 fn norm(v: [f64; 3]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
-}
-
-/// Model of the wire.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum PlantKind {
-    /// Large deflection; `wcal virtual-bench` brings it.
-    #[default]
-    Rod,
-    /// The bench's own first-order compliance.
-    Cantilever,
 }
 
 /// Protocol of the stage.
@@ -382,9 +368,9 @@ pub struct EffectsScenario {
     pub creep_s: f64,
     /// Quadratic share of the response at 1 N mm along the grating's axis.
     pub quadratic_fraction: f64,
-    /// Shift of the groove from its stated paths, base frame, mm (`plant = "rod"`).
+    /// Shift of the groove from its stated paths, base frame, mm.
     pub groove_offset_mm: [f64; 3],
-    /// Turn of the wire's root per base moment, rad/(N mm) (`plant = "rod"`).
+    /// Turn of the wire's root per base moment, rad/(N mm).
     pub root_turn_rad_per_nmm: f64,
 }
 

@@ -112,13 +112,13 @@ pub(super) fn guard<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl BenchState {
     /// A bench that starts now.
-    pub fn new(scenario: Scenario, plant: Option<Box<dyn Plant>>) -> Arc<Self> {
+    pub fn new(scenario: Scenario, plant: Box<dyn Plant>) -> Arc<Self> {
         let clock = BenchClock::start(scenario.speed);
         Self::by_clock(scenario, plant, clock)
     }
 
     /// A bench by a clock of its own.
-    pub fn by_clock(scenario: Scenario, plant: Option<Box<dyn Plant>>, clock: BenchClock) -> Arc<Self> {
+    pub fn by_clock(scenario: Scenario, plant: Box<dyn Plant>, clock: BenchClock) -> Arc<Self> {
         let mut units = vec![Unit::new(1, scenario.stage.unit.clone())];
         if scenario.mount.present {
             let mount = UnitSpec {

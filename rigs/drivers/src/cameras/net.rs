@@ -70,11 +70,6 @@ impl Camera for NetCamera {
         Err(DeviceError::new(kind, &self.link.name, "configure", expected, "a setting"))
     }
 
-    fn show_board(&mut self, view: Option<usize>) -> Result<bool, DeviceError> {
-        let line = view.map_or_else(|| "board off\n".to_owned(), |k| format!("board {k}\n"));
-        self.link.send(line.as_bytes(), "show the board").map(|()| true)
-    }
-
     fn grab(&mut self, timeout: Duration) -> Result<CameraFrame, DeviceError> {
         let deadline = self.link.deadline(timeout);
         loop {

@@ -1,5 +1,6 @@
 //! A virtual bench, its rig, and a short plan, for the sweep tests.
 
+use crate::cantilever::Cantilever;
 use std::path::Path;
 use std::process::Command;
 use wcal_acquisition::AcquisitionError;
@@ -45,7 +46,14 @@ pub fn bench(extra: &str) -> VirtualBench {
     let text = format!(
         "format = \"wcal-scenario/1\"\nseed = 4\nspeed = {SPEED}\n[interrogator]\nrate_hz = 500\n{extra}{cameras}"
     );
-    VirtualBench::start(Scenario::parse(&text).unwrap(), None).unwrap()
+    start(&text)
+}
+
+/// A running bench by the text of its scenario.
+pub fn start(text: &str) -> VirtualBench {
+    let scenario = Scenario::parse(text).unwrap();
+    let plant = Cantilever::of(&scenario);
+    VirtualBench::start(scenario, plant).unwrap()
 }
 
 /// The rig of `rigs/virtual` at the addresses of a bench.
@@ -68,7 +76,6 @@ pub fn rig(bench: &VirtualBench) -> String {
 /// A new session in `folder`.
 pub fn order(bench: &VirtualBench, plan: &str, folder: &Path) -> RecordRequest {
     RecordRequest {
-        ask_board: |_| Ok(()),
         rig: rig(bench),
         plan: plan.to_owned(),
         places: ["rig.toml", "plan.toml"].map(str::to_owned),

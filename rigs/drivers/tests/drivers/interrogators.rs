@@ -1,5 +1,6 @@
 //! sm130 and Hyperion clients, and the cameras, against the virtual bench.
 
+use crate::common::start;
 use std::io::{Read, Write};
 use std::net::TcpListener;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -27,7 +28,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 
 fn bench(extra: &str) -> VirtualBench {
     let text = format!("format = \"wcal-scenario/1\"\n{extra}");
-    VirtualBench::start(Scenario::parse(&text).unwrap(), None).unwrap()
+    start(&text)
 }
 
 fn sm130(bench: &VirtualBench) -> Sm130 {
@@ -219,7 +220,7 @@ impl Scene for Told {
 fn pictures_show_the_stage_where_it_is_and_the_board_on_command() {
     let text = "format = \"wcal-scenario/1\"\nspeed = 10\n[stage]\nzero_mm = 20.0\n[stage.unit]\nstart_mm = 12.0\n\
         [mount]\nsteps_per_trajectory = 10\n[cameras]\nrate_hz = 20\nsize_px = [64, 48]\n";
-    let bench = VirtualBench::start(Scenario::parse(text).unwrap(), Some(Box::new(Told))).unwrap();
+    let bench = VirtualBench::start(Scenario::parse(text).unwrap(), Box::new(Told)).unwrap();
     let mut pair = pair(&bench);
     let p = pair.grab(WAIT).unwrap();
     // 12 mm with first contact at 20: 8 mm short; the mount stands at trajectory 0.

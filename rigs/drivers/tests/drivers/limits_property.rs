@@ -1,6 +1,7 @@
 //! Random rigs, plans and faults, held against the bytes that the virtual units hear: no command moves the stage past a limit, no run ends with
 //! the stage moving or a stop unconfirmed, and the units keep the speeds that they had. Each run is its number's: `WCAL_PROPERTY_FIRST` and `WCAL_PROPERTY_RUNS` say which.
 
+use crate::cantilever::Cantilever;
 use crate::common::{Disk, NoMount};
 use crate::tap::{Order, Tap, TapFault};
 use rand::{RngExt, SeedableRng};
@@ -107,7 +108,9 @@ fn tap(case: &Case) -> Tap {
     let text = format!(
         "format = \"wcal-scenario/1\"\nseed = 4\n[interrogator]\nrate_hz = 100\n[cameras]\ncount = 0\n{binary}"
     );
-    Tap::new(Scenario::parse(&text).unwrap(), None)
+    let scenario = Scenario::parse(&text).unwrap();
+    let plant = Cantilever::of(&scenario);
+    Tap::new(scenario, plant)
 }
 
 /// Speeds that the units were given.
@@ -117,7 +120,6 @@ fn speeds(case: &Case, tap: &Tap) -> Vec<i64> {
 
 fn run(case: &Case, tap: &Tap, folder: &Path, interrupt: &Interrupt) -> Result<RecordResult, String> {
     let request = RecordRequest {
-        ask_board: |_| Ok(()),
         rig: case.rig.clone(),
         plan: case.plan.clone(),
         places: ["rig.toml", "plan.toml"].map(str::to_owned),

@@ -8,6 +8,7 @@
     reason = "a test that fails should say where, and one that measures says what it found"
 )]
 
+mod cantilever;
 mod common;
 mod limits_property;
 mod tap;

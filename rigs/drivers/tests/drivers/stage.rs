@@ -1,5 +1,6 @@
 //! The stage driver against the virtual stage, over TCP and the pseudo-terminal, in good and bad weather.
 
+use crate::common::start;
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Duration;
@@ -8,7 +9,7 @@ use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceErrorKind, Stage};
 use wcal_core::rig_devices::{DeviceOpener, MountRig, StageRig};
 use wcal_drivers::Drivers;
-use wcal_drivers::bench::{VirtualBench, faults::Fault, scenario::Scenario};
+use wcal_drivers::bench::{VirtualBench, faults::Fault};
 use wcal_drivers::zaber::units::Microsteps;
 use wcal_drivers::zaber::wire::{Connect, connect};
 use wcal_drivers::zaber::{BinaryLine, Chain, Port, ZaberBinary, ZaberStage};
@@ -17,7 +18,7 @@ const UNIT: Microsteps = Microsteps { size_um: 0.047_625 };
 
 fn bench(extra: &str) -> VirtualBench {
     let text = format!("format = \"wcal-scenario/1\"\nspeed = 10\n{extra}");
-    VirtualBench::start(Scenario::parse(&text).unwrap(), None).unwrap()
+    start(&text)
 }
 
 fn system() -> Connect {

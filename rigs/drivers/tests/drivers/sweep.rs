@@ -40,7 +40,7 @@ fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
     assert_eq!(data.holdout.len(), 2, "the holdout with its own rest");
     // What the plant does at trajectory 1: K m with m = (-, 0) for a push along +z.
     let scenario = Scenario::parse("format = \"wcal-scenario/1\"").unwrap();
-    let mut plant = wcal_drivers::bench::plant::Cantilever::new(&scenario);
+    let mut plant = crate::cantilever::Cantilever::new(&scenario);
     let settled: Vec<_> =
         data.rows.iter().filter(|r| r.role == Role::Calibration && r.trajectory == Some(1)).collect();
     for row in &settled {
@@ -186,7 +186,7 @@ impl Plant for Slow {
 fn a_bench_that_falls_behind_its_clock_knows_it() {
     let behind = |slow: bool| {
         let text = "format = \"wcal-scenario/1\"\nspeed = 100.0\n[interrogator]\nrate_hz = 100\n[cameras]\ncount = 0\n";
-        let bench = VirtualBench::start(Scenario::parse(text).unwrap(), Some(Box::new(Slow(!slow)))).unwrap();
+        let bench = VirtualBench::start(Scenario::parse(text).unwrap(), Box::new(Slow(!slow))).unwrap();
         let start = Instant::now();
         while bench.now_s() < 100.0 && start.elapsed() < Duration::from_secs(5) {
             std::thread::sleep(Duration::from_millis(20));

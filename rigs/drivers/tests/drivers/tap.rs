@@ -92,8 +92,8 @@ pub struct Tap {
 }
 
 impl Tap {
-    /// A bench by a scenario; without a plant the scenario's cantilever.
-    pub fn new(scenario: Scenario, plant: Option<Box<dyn Plant>>) -> Self {
+    /// A bench by a scenario.
+    pub fn new(scenario: Scenario, plant: Box<dyn Plant>) -> Self {
         let protocol = scenario.stage.protocol;
         Self { bench: InProcess::new(scenario, plant), state: Arc::default(), protocol }
     }

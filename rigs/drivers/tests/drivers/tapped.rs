@@ -1,5 +1,6 @@
 //! What the units are told in a sweep, byte by byte: order of the motions, speeds put back, lost ports, flags after a stall, T-series.
 
+use crate::cantilever::Cantilever;
 use crate::common::{NoMount, PLAN, rows};
 use crate::tap::{Command, Order, Tap, TapFault};
 use std::path::Path;
@@ -21,7 +22,9 @@ pub fn tap(extra: &str) -> Tap {
     let text = format!(
         "format = \"wcal-scenario/1\"\nseed = 4\n[interrogator]\nrate_hz = 500\n[cameras]\ncount = 0\n{extra}"
     );
-    Tap::new(Scenario::parse(&text).unwrap(), None)
+    let scenario = Scenario::parse(&text).unwrap();
+    let plant = Cantilever::of(&scenario);
+    Tap::new(scenario, plant)
 }
 
 /// The rig of `rigs/virtual` without cameras; its ports are not looked at.
@@ -45,7 +48,6 @@ pub fn binary(rig: &str) -> String {
 
 pub fn order(rig: &str, folder: &Path) -> RecordRequest {
     RecordRequest {
-        ask_board: |_| Ok(()),
         rig: rig.to_owned(),
         plan: PLAN.to_owned(),
         places: ["rig.toml", "plan.toml"].map(str::to_owned),

@@ -1,8 +1,9 @@
 //! The stage maker's own client (zaber-motion, from PyPI, in a virtual environment of its own) against the virtual stage.
 
+use crate::common::start;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use wcal_drivers::bench::{VirtualBench, faults, scenario::Scenario};
+use wcal_drivers::bench::faults;
 
 fn repository(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(path)
@@ -27,7 +28,7 @@ fn python() -> PathBuf {
 fn the_makers_client_works_against_the_virtual_stage() {
     use std::io::{BufRead, BufReader, Write};
     let scenario = "format = \"wcal-scenario/1\"\nspeed = 10\n[cameras]\ncount = 0\n";
-    let bench = VirtualBench::start(Scenario::parse(scenario).unwrap(), None).unwrap();
+    let bench = start(scenario);
     let mut client = Command::new(python())
         .arg(repository("tests/peers/zaber_motion_session.py"))
         .arg(serde_json::to_string(bench.addresses()).unwrap())

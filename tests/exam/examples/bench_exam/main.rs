@@ -7,6 +7,8 @@
 //! beside each other. Sessions that `--keep` holds already are verified anew, not recorded again.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example talks to its user")]
 
+#[path = "../../../support/board_pictures.rs"]
+mod board_pictures;
 mod draw;
 mod score;
 mod sit;

@@ -2,6 +2,7 @@
 //! same recording on every computer; with pictures it is `virtual-bench`, and `stereo-calibrate` and `stereo-shape` come before `verify`.
 
 use crate::Options;
+use crate::board_pictures::board_pictures;
 use crate::draw::Draw;
 use anyhow::{Context, ensure};
 use serde_json::Value;
@@ -64,11 +65,13 @@ fn record(o: &Options, d: &Draw, folder: &Path) -> anyhow::Result<()> {
     let rate = format!("rate_hz = {:.1}", d.rate_hz);
     fs::write(folder.join("rig.toml"), rig.replace("rate_hz = 2000.0", &rate))?;
     let plan = fs::read_to_string(root.join("rigs/plans").join(format!("{}.toml", d.plan)))?;
-    let plan = if d.pictures { plan.replacen("[[block]]", "board_views = 12\n[[block]]", 1) } else { plan };
     fs::write(folder.join("plan.toml"), plan)?;
     let sweep = ["stage-sweep", "--rig", "rig.toml", "--plan", "plan.toml", "--home", "--out", "session"];
     let swept = if d.pictures {
         let bench = Bench::start(o, folder)?;
+        let told: Value = serde_json::from_slice(&fs::read(folder.join("bench.json"))?)?;
+        let cameras = [0, 1].map(|k| told["cameras"][k].as_str().unwrap_or_default());
+        board_pictures(cameras, &folder.join("board"), 12)?;
         let swept = wcal(o, folder, &[&sweep[..], &["--bench", "bench.json"]].concat());
         drop(bench);
         swept?
@@ -77,7 +80,7 @@ fn record(o: &Options, d: &Draw, folder: &Path) -> anyhow::Result<()> {
     };
     ensure!(matches!(swept, Some(0 | 3)), "the sweep ended with {swept:?}");
     if d.pictures {
-        let sides = ["session/pictures/board/left", "session/pictures/board/right"];
+        let sides = ["board/left", "board/right"];
         let board = ["--board", "9x6", "--square-mm", "6", "--out", "cameras"];
         let code = wcal(o, folder, &[&["stereo-calibrate"], &sides[..], &board[..]].concat())?;
         ensure!(matches!(code, Some(0 | 3)), "stereo-calibrate ended with {code:?}");

@@ -1,0 +1,45 @@
+//! The virtual bench's chessboard before its cameras, as files (SIMULATED): what a person does with a board and a camera's own program.
+
+use std::io::{Read, Result, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use wcal_acquisition::pictures::lossless;
+use wcal_core::device::CameraFrame;
+
+/// Bytes before the grey values of a frame (firmware-notes/cameras.md).
+const HEADER: usize = 40;
+
+/// The frame after `skip` others.
+fn frame(link: &mut TcpStream, skip: usize) -> Result<CameraFrame> {
+    let mut found = CameraFrame::default();
+    for _ in 0..=skip {
+        let mut header = [0; HEADER];
+        link.read_exact(&mut header)?;
+        let [width_px, height_px] =
+            [4, 8].map(|at| [0, 1, 2, 3].map(|k| header[at + k])).map(u32::from_le_bytes);
+        let mut grey = vec![0; width_px as usize * height_px as usize];
+        link.read_exact(&mut grey)?;
+        found = CameraFrame { width_px, height_px, grey, ..CameraFrame::default() };
+    }
+    Ok(found)
+}
+
+/// Pictures of the board in so many attitudes: `FOLDER/left/VV.png` and `FOLDER/right/VV.png`. `cameras`: addresses of both.
+pub fn board_pictures(cameras: [&str; 2], folder: &Path, views: u32) -> Result<()> {
+    for view in 0..views {
+        let mut first = TcpStream::connect(cameras[0])?;
+        first.write_all(format!("board {view}\n").as_bytes())?;
+        // Frames are drawn when they are due: some may have been before the bench heard of the board. Those of the second begin after that.
+        let left = frame(&mut first, 3)?;
+        let right = frame(&mut TcpStream::connect(cameras[1])?, 1)?;
+        for (side, picture) in [("left", left), ("right", right)] {
+            std::fs::create_dir_all(folder.join(side))?;
+            let png = lossless(&picture).map_err(std::io::Error::other)?;
+            std::fs::write(folder.join(format!("{side}/{view:02}.png")), png)?;
+        }
+        first.write_all(b"board off\n")?;
+        // It is off once a frame has come after the bench heard of it.
+        frame(&mut first, 3)?;
+    }
+    Ok(())
+}

@@ -33,7 +33,7 @@ mod node;
 
 use super::contact_path::{BEFORE_MM, ContactPath, loaded};
 use super::posterior;
-use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings};
+use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings, TABLE_MM};
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use node::{NodeFilter, Reading};
 
@@ -294,9 +294,11 @@ impl RecursivePosterior {
 
     /// The posterior over arc length, onset and gap.
     pub fn posterior(&self) -> Posterior {
+        // The interpolated wire is off by as much at every reading: no number of them averages it out.
+        let table_mm2 = Matrix2::identity() * TABLE_MM.powi(2);
         let node = |n: &NodeFilter| {
             let (state, covariance_mm2) = n.state();
-            posterior::Node::new(state, covariance_mm2, n.ln)
+            posterior::Node::new(state, covariance_mm2 + table_mm2, n.ln)
         };
         Posterior::of_nodes(self.nodes.iter().map(node).collect())
     }

@@ -20,6 +20,8 @@ use wcal_core::WhiskerSpec;
 use wcal_core::observation::MomentAxes;
 use wcal_core::stream::Flags;
 
+/// Of an object of which nothing is known the touched point goes on by so much of the motion (standard deviation). An assumption.
+pub(crate) const CREEP_SD: f64 = 0.15;
 /// Displacement over which a draw of the noise from pose to pose is forgotten, mm. An assumption.
 const POSE_MM: f64 = 0.5;
 /// Share of the noise from pose to pose that a row has for itself where no prefix was measured. An assumption, as for the filters.
@@ -42,6 +44,8 @@ pub struct MotionAccuracy {
 pub struct KnownMotionStream {
     field: Arc<MomentField>,
     accuracy: MotionAccuracy,
+    /// See [`Settings::creep_sd`].
+    creep_sd: f64,
     /// From the first moments on: they say what their noise is.
     stream: Option<ContactStream>,
     /// For loaded rows whose motion is not known.
@@ -59,11 +63,17 @@ pub struct KnownMotionStream {
 }
 
 impl KnownMotionStream {
-    /// Of a whisker whose wire has the moments of `field`.
-    pub fn new(field: Arc<MomentField>, whisker: &WhiskerSpec, accuracy: MotionAccuracy) -> Self {
+    /// Of a whisker whose wire has the moments of `field`; a groove holds it at one place.
+    pub fn new(
+        field: Arc<MomentField>,
+        whisker: &WhiskerSpec,
+        accuracy: MotionAccuracy,
+        of_groove: bool,
+    ) -> Self {
         Self {
             field,
             accuracy,
+            creep_sd: if of_groove { 0.0 } else { CREEP_SD },
             stream: None,
             alone: StaticArc::new(whisker),
             whisker: whisker.clone(),
@@ -83,7 +93,8 @@ impl KnownMotionStream {
         let stream = self.stream.get_or_insert_with(|| {
             let correlated = Some(CorrelatedNoise::ByPose { covariance_nmm2: pose_nmm2, length_mm: POSE_MM });
             let clock_sd_s = self.accuracy.clock_sd_s;
-            let settings = Settings { clock_sd_s, correlated, ..Settings::default() };
+            let settings =
+                Settings { clock_sd_s, correlated, creep_sd: self.creep_sd, ..Settings::default() };
             ContactStream::new(Arc::clone(&self.field), settings)
         });
         if self.last_s.replace(row.t_s).is_some_and(|last| row.t_s - last > MAX_LOST_S) {

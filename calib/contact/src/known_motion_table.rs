@@ -2,10 +2,11 @@
 
 use crate::ContactError;
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
+use crate::fixed_or_sliding::fixed_or_sliding;
 use crate::known_motion::{
     Episode, EpisodeEstimate, MomentField, MotionRow, Posterior, Region, Settings, episodes, estimate_contact,
 };
-use crate::known_motion_stream::MotionAccuracy;
+use crate::known_motion_stream::{CREEP_SD, MotionAccuracy};
 use crate::reading::Reading;
 use crate::sliding::SlidingContact;
 use crate::sliding_episodes::sliding_contacts;
@@ -25,16 +26,22 @@ struct TableContact {
     range: [usize; 2],
     span_s: [f64; 2],
     found: EpisodeEstimate,
-    /// The contact as one that slides, where no fixed point explains the moments.
-    sliding: Option<SlidingContact>,
+    /// The contact as one that slides.
+    sliding: SlidingContact,
     /// In a sweep over an object, where sliding is the normal case and nothing has to support it but the fit.
     over_object: bool,
 }
 
 impl TableContact {
-    /// As one that slides, where the motion supports it.
+    /// As one that slides, where no fixed point explains the moments and the motion supports it.
     fn slides(&self) -> Option<&SlidingContact> {
-        self.sliding.as_ref().filter(|s| s.supported() || (self.over_object && s.sure()))
+        let supported = self.sliding.supported() || (self.over_object && self.sliding.sure());
+        (self.found.disagrees() && supported).then_some(&self.sliding)
+    }
+
+    /// Whether a fixed point and a contact that slides both explain the moments.
+    fn undecided(&self) -> bool {
+        !self.found.disagrees() && self.sliding.sure()
     }
 }
 
@@ -109,16 +116,16 @@ impl KnownMotionTable {
     fn estimate_contact(&mut self) -> Result<(), ContactError> {
         self.split_noise();
         let ranges = episodes(&self.field, &mut self.rows, &self.pieces);
-        let settings = Settings { clock_sd_s: self.accuracy.clock_sd_s, ..Settings::default() };
+        let settings =
+            Settings { clock_sd_s: self.accuracy.clock_sd_s, creep_sd: CREEP_SD, ..Settings::default() };
         let one = |[from, to]: &[usize; 2]| {
             let episode = Episode { rows: self.rows[*from..*to].to_vec(), push: None };
             estimate_contact(&self.field, &episode, &settings)
         };
         let found = ranges.par_iter().map(one).collect::<Result<Vec<EpisodeEstimate>, ContactError>>()?;
-        let with_range: Vec<([usize; 2], &EpisodeEstimate)> = ranges.iter().copied().zip(&found).collect();
-        let sliding = sliding_contacts(&self.whisker, &self.rows, &with_range)?;
+        let sliding = sliding_contacts(&self.whisker, &self.rows, &ranges)?;
         let over_object = self.over_object;
-        let contact = |((range, found), sliding): (([usize; 2], EpisodeEstimate), Option<SlidingContact>)| {
+        let contact = |((range, found), sliding): (([usize; 2], EpisodeEstimate), SlidingContact)| {
             let span_s = [self.rows[range[0]].t_s, self.rows[range[1] - 1].t_s];
             TableContact { range, span_s, found, sliding, over_object }
         };
@@ -131,6 +138,10 @@ impl KnownMotionTable {
         let regions = contact.found.posterior.as_ref().map_or_else(Vec::new, Posterior::regions);
         let [from, to] = contact.range;
         let at = |k: usize| {
+            if contact.undecided() {
+                let both = fixed_or_sliding(k, &contact.found.places, &regions, &contact.sliding);
+                return Contact { number: Some(number as u64), ..both };
+            }
             let (place, regions, flags): (_, &[Region], _) = match contact.slides() {
                 Some(s) if self.over_object => {
                     let flags = if s.sure() { Flags::default() } else { Flags::SLIDING_ASSUMED };
@@ -170,6 +181,11 @@ impl KnownMotionTable {
                 "contact {n}: no fixed point of the object explains the moments, a contact that slides does (log likelihood ratio {:.0} to the \
                  reversed motion), as it does where motion or calibration are wrong; marked sliding-assumed in status",
                 s.evidence - s.reversed_evidence
+            )
+        }));
+        all.extend(numbered().filter(|(_, c)| c.undecided()).map(|(n, _)| {
+            format!(
+                "contact {n}: a fixed point of the object and a contact that slides both explain the moments; places and regions are those of both"
             )
         }));
         let slips = numbered().filter_map(|(n, c)| Some((n, c.range[0], c.slides()?)));
@@ -259,8 +275,8 @@ impl Estimator for KnownMotionTable {
                 &c.found,
                 c.span_s,
                 c.range[1] - c.range[0],
-                c.sliding.as_ref(),
-                c.slides().is_some(),
+                &c.sliding,
+                (c.slides().is_some(), c.undecided()),
             )
         };
         let document = EstimatorDocument {

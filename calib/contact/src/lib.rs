@@ -13,6 +13,7 @@ pub mod arc;
 pub mod contact_history;
 mod error;
 pub mod estimator;
+mod fixed_or_sliding;
 pub mod frame;
 pub mod groove_comparison;
 pub mod groove_table;

@@ -107,7 +107,9 @@ impl<'a> StreamTracks<'a> {
             lag_s: stream.lag_s,
             prefix_s: stream.prefix_s,
         };
-        let one = |l: &'a WhiskerModel<'a>| Whisker::new(&stream, &settings, (place, rig), l);
+        // Without a base that moves, the stage carries the groove.
+        let of_groove = log.is_none() && rig.base.is_none();
+        let one = |l: &'a WhiskerModel<'a>| Whisker::new(&stream, &settings, (place, rig), l, of_groove);
         Ok(Self {
             all: loaded.iter().map(one).collect::<Result<_, ContactError>>()?,
             motion: StreamMotion::new(place, rig, stream.base_mm_s, log)?,
@@ -333,6 +335,7 @@ impl<'a> Whisker<'a> {
         settings: &SignalChainSettings,
         (place, rig): (&str, &Rig),
         l: &'a WhiskerModel<'a>,
+        of_groove: bool,
     ) -> Result<Self, ContactError> {
         let calibration = l.calibration()?;
         let map = calibration.stream().map_err(ContactError::in_file(&l.place))?;
@@ -347,7 +350,7 @@ impl<'a> Whisker<'a> {
                     // The prefix is long enough; a reading that comes sooner solves what it needs itself.
                     let filled = Arc::clone(&field);
                     std::thread::spawn(move || filled.fill(REACH_MM));
-                    let own = KnownMotionStream::new(field, &whisker, stream.accuracy);
+                    let own = KnownMotionStream::new(field, &whisker, stream.accuracy, of_groove);
                     (Box::new(own), middle_mm, offset_mm)
                 }
             };

@@ -174,9 +174,9 @@ pub struct ContactDocument {
     /// Last reading, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub to_s: Option<f64>,
-    /// A fixed point of the object, or one that slides over it.
+    /// A fixed point of the object, one that slides over it, or either: both explain the moments.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("enum" = ["fixed", "sliding"]))]
+    #[schemars(extend("enum" = ["fixed", "sliding", "fixed-or-sliding"]))]
     pub contact: Option<&'static str>,
     /// How well the motion predicts a sliding contact.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -212,8 +212,8 @@ impl ContactDocument {
         found: &EpisodeEstimate,
         [from_s, to_s]: [f64; 2],
         readings: usize,
-        sliding: Option<&SlidingContact>,
-        slides: bool,
+        sliding: &SlidingContact,
+        (slides, undecided): (bool, bool),
     ) -> Self {
         let fixed = Self::new(&found.innovations, readings);
         let evidence = |s: &SlidingContact| SlidingDocument {
@@ -226,8 +226,12 @@ impl ContactDocument {
             from_s: Some(from_s),
             to_s: Some(to_s),
             disagreement: fixed.disagreement.filter(|_| !slides),
-            contact: Some(if slides { "sliding" } else { "fixed" }),
-            sliding: Some(sliding.map(evidence)),
+            contact: Some(match (slides, undecided) {
+                (true, _) => "sliding",
+                (false, true) => "fixed-or-sliding",
+                (false, false) => "fixed",
+            }),
+            sliding: Some((slides || undecided).then(|| evidence(sliding))),
             ..fixed
         }
     }

@@ -78,13 +78,13 @@ impl TrackRow {
         let place = self.place();
         cells(&mut out, self.estimate.map(|e| [e.probability]).as_ref().map(|v| &v[..]), 1, 4);
         cells(&mut out, place.as_ref().map(|p| p.0.as_slice()), 3, 4);
-        cells(&mut out, place.as_ref().map(|p| spread(&p.1)).as_ref().map(|v| &v[..]), 6, 4);
+        cells(&mut out, place.as_ref().map(|p| spread(&p.1)).as_ref().map(|v| &v[..]), 6, 8);
         let _ = write!(out, ",{},{},{}", self.whisker, self.flags.text(), self.doubts);
         cells(&mut out, self.moments.as_ref().map(|m| &m.sd_nmm[..]), 2, 6);
         cells(&mut out, self.base_mm_s.map(|v| [v]).as_ref().map(|v| &v[..]), 1, 4);
         let world = self.world();
         cells(&mut out, world.as_ref().map(|p| p.0.as_slice()), 3, 4);
-        cells(&mut out, world.as_ref().map(|p| spread(&p.1)).as_ref().map(|v| &v[..]), 6, 4);
+        cells(&mut out, world.as_ref().map(|p| spread(&p.1)).as_ref().map(|v| &v[..]), 6, 8);
         let segment = self.segment.map_or_else(String::new, |n| n.to_string());
         let piece = |r: &Region| format!("{:.2}-{:.2}@{:.3}", r.from_mm, r.to_mm, r.probability);
         let regions = self.regions.iter().map(piece).collect::<Vec<_>>().join("|");

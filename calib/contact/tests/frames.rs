@@ -89,7 +89,7 @@ impl Session {
         let whisker = frame.whisker(&self.whisker);
         let estimator: Box<dyn Estimator> = match which {
             0 => Box::new(KnownMotionTable::new(field(&whisker), &whisker, ACCURACY, false)),
-            1 => Box::new(KnownMotionStream::new(Arc::new(field(&whisker)), &whisker, ACCURACY)),
+            1 => Box::new(KnownMotionStream::new(Arc::new(field(&whisker)), &whisker, ACCURACY, false)),
             _ => Box::new(StaticArc::new(&whisker)),
         };
         let mut track = WhiskerTrack::new(WhiskerFacts::default(), (frame, estimator), 0.0, true);
@@ -141,7 +141,10 @@ fn a_turned_session_has_the_same_contacts() {
     // The place is the true one, to begin with.
     let end = expected[0].last().unwrap().estimate.unwrap();
     let touch = field(&wire()).free(42.0).0 + Vector3::new(0.0, 0.1, -1.0) * 4.25;
-    assert!((end.place_mm - touch).norm() < 0.5, "{end:?} {touch}");
+    let off = end.place_mm - touch;
+    // Of an object of which nothing is known the point may have crept: by the stated covariance.
+    let squared = end.covariance_mm2.cholesky().map(|c| off.dot(&c.solve(&off)));
+    assert!(off.norm() < 1.0 && squared.is_some_and(|z2| z2 < 7.8), "{end:?} {touch}");
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let (mut forgotten, mut largest) = (0, 0.0_f64);
     for k in 0..4 {

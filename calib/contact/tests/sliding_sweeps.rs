@@ -219,7 +219,7 @@ fn a_stream_follows_a_contact_that_slides() {
         let stream = {
             let rod = wcal_rod::Rod::new(&whisker, MESH_MM).unwrap();
             let field = Arc::new(MomentField::new(&rod, &MomentAxes::default(), Friction::NONE));
-            let mut stream = KnownMotionStream::new(field, &whisker, ACCURACY);
+            let mut stream = KnownMotionStream::new(field, &whisker, ACCURACY, false);
             let push = |r: Reading| stream.push(&r).unwrap().remove(0);
             readings(&rows(case, way)).map(push).collect::<Vec<Contact>>()
         };

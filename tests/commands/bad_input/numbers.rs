@@ -35,7 +35,7 @@ struct Document {
 }
 
 /// Keys whose quantity is more than nothing: sizes, rates, moduli.
-const POSITIVE: [&str; 22] = [
+const POSITIVE: [&str; 23] = [
     "diameter_mm",
     "whisker/length_mm",
     "arc_radius_mm",
@@ -55,16 +55,18 @@ const POSITIVE: [&str; 22] = [
     "unit/acceleration_mm_s2",
     "limit_steps",
     "scale_pm",
+    "averaging/samples",
     "clock_scale",
     "board_square_mm",
     "tags/size_mm",
 ];
 /// Keys whose quantity is nothing at least: spreads, times to wait, counts.
-const NOT_NEGATIVE: [&str; 19] = [
+const NOT_NEGATIVE: [&str; 20] = [
     "variance",
     "variance_nmm2",
     "noise_sd_pm",
     "noise_pm",
+    "averaging/common",
     "nugget",
     "inflation",
     "dof",

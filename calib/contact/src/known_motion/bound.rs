@@ -1,7 +1,7 @@
 //! The smallest covariance that an estimate of the contact can have: the Bayesian Cramer-Rao bound.
 //!
 //! ```text
-//! E[(P^ - P)(P^ - P)^T] >= T J^-1 T^T,   T = dP/dtheta,   theta = (s, x, g)
+//! E[(P^ - P)(P^ - P)^T] >= T J^-1 T^T + s_p^2 I,   T = dP/dtheta,   theta = (s, x, g),   s_p: error of the interpolated wire
 //! J = G^T S^-1 G + diag(12 / L_s^2, 12 / L_x^2, 1 / s_g^2),   G = dm/dtheta
 //! ```
 //!
@@ -44,7 +44,9 @@ pub fn bound_mm2(
         return Ok(None);
     };
     let covariance = Matrix3::from_fn(|i, j| covariance[(i, j)]);
-    Ok(Some(turn * covariance * turn.transpose()))
+    // What all readings have of the interpolated wire's error.
+    let table_mm2 = Matrix3::identity() * TABLE_MM.powi(2);
+    Ok(Some(turn * covariance * turn.transpose() + table_mm2))
 }
 
 /// Root of the bound's trace, mm: what an RMS error in space is compared with.

@@ -53,6 +53,20 @@ pub(crate) fn loaded(row: &MotionRow) -> bool {
     !row.free && row.moment_nmm[0].hypot(row.moment_nmm[1]) > LOADED_SDS * sd
 }
 
+/// By how much one standard deviation of each of the two shares q moves the touched point of an object that has gone on by `moved_mm`, mm.
+pub(crate) fn creep_mm(
+    push: &Vector3<f64>,
+    turn: &Rotation3<f64>,
+    moved_mm: &Vector3<f64>,
+    creep_sd: f64,
+) -> [Vector3<f64>; 2] {
+    // Not before the first load, to where the point has not come from anywhere.
+    let way_mm = if moved_mm.dot(push) > 0.0 { moved_mm.norm() } else { 0.0 };
+    let least = Vector3::ith(push.iamin(), 1.0);
+    let first = push.cross(&least).normalize();
+    [first, push.cross(&first)].map(|e| turn * e * (creep_sd * way_mm))
+}
+
 impl<'a> ContactPath<'a> {
     /// None where no reading is loaded, or the motion has no direction.
     pub fn new(field: &'a MomentField, episode: &'a Episode) -> Option<Self> {
@@ -88,7 +102,7 @@ impl<'a> ContactPath<'a> {
     }
 
     /// Displacement of a reading from the reference, mm; under rotation that of the wire's middle.
-    fn displacement(&self, row: usize) -> Vector3<f64> {
+    pub(crate) fn displacement(&self, row: usize) -> Vector3<f64> {
         let middle = self.field.free(0.5 * self.field.length_mm()).0;
         self.carried(&middle, row) - middle
     }

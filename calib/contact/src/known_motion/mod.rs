@@ -17,7 +17,10 @@
 //! `y_k = m(P_k) + H_k c + (dm/dP) (v_k tau + e_k) + n_k`, `c ~ N(0, 1)`, `tau ~ N(0, s_tau^2)`, `e_k ~ N(0, s_d^2)`,
 //! n_k regular (covariance R_k, a part of it correlated from reading to reading), noisy, or anything ([`recursive`]);
 //!
-//! one standard deviation of an unknown c_j changes the moments by h_kj (map), the displacement by w_kj (an accepted effect of the stage) and
+//! A point that does not stay goes on over the object, across the push, by a share q of the motion since the first load:
+//! `P_k = Q_k P_ref + d_k + |d_k| (q_1 e_1 + q_2 e_2)`, `q ~ N(0, s_q^2)`, e_1 and e_2 across u. They are two common unknowns more.
+//!
+//! One standard deviation of an unknown c_j changes the moments by h_kj (map), the displacement by w_kj (an accepted effect of the stage) and
 //! the rod to another (an accepted effect of rod or friction, m_j): `H_kj = h_kj + (dm/dP) w_kj + m_j(P_k) - m(P_k)`.
 //! The interpolated m(P) has an error of its own, s_p (mm) and s_q (relative), which dominates where the noise is negligible.
 //!
@@ -107,6 +110,8 @@ pub struct Settings {
     pub clock_sd_s: f64,
     /// Smallest arc length of a contact, mm.
     pub first_mm: f64,
+    /// Standard deviation of the way of the touched point over the object as a share of the motion's; 0: it stays, as in a groove.
+    pub creep_sd: f64,
     /// Prior probability that a reading is an outlier.
     pub gross_share: f64,
     /// Readings of an episode that the posterior is made of; of more, every second, third, ...
@@ -122,6 +127,7 @@ impl Default for Settings {
             gap_sd_mm: 0.5,
             clock_sd_s: 0.0,
             first_mm: 8.0,
+            creep_sd: 0.0,
             gross_share: 0.01,
             max_rows: 400,
             correlated: None,

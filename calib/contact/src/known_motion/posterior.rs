@@ -1,8 +1,8 @@
 //! Posterior of an episode's state: a grid along the wire, Gaussian in onset and gap at each of its nodes.
 
 use super::EpisodeContact;
-use super::contact_path::{ContactPath, State};
-use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use super::contact_path::{ContactPath, State, creep_mm};
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
 
 /// Mass of the stated region.
 pub const REGION: f64 = 0.95;
@@ -14,6 +14,8 @@ pub struct Node {
     pub state: State,
     /// Covariance of onset and gap, mm^2.
     pub covariance_mm2: Matrix2<f64>,
+    /// What is known of the two shares of a creeping contact; none where it stays.
+    creep: Option<Creep>,
     /// Logarithm of the mass per arc length, not normalised.
     ln: f64,
     /// Mass that the node stands for.
@@ -22,10 +24,25 @@ pub struct Node {
     length_mm: f64,
 }
 
+/// The two shares of a creeping contact in units of their prior's standard deviation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Creep {
+    /// Mean.
+    pub mean: Vector2<f64>,
+    /// Covariance.
+    pub covariance: Matrix2<f64>,
+    /// Covariance of onset and gap (rows, mm) with them.
+    pub with_state: Matrix2<f64>,
+}
+
 impl Node {
     /// A node whose mass follows from its neighbours; `ln` is the logarithm of the mass per arc length.
     pub(crate) fn new(state: State, covariance_mm2: Matrix2<f64>, ln: f64) -> Self {
-        Self { state, covariance_mm2, ln, mass: 0.0, length_mm: 0.0 }
+        Self { state, covariance_mm2, creep: None, ln, mass: 0.0, length_mm: 0.0 }
+    }
+
+    pub(crate) fn with_creep(self, creep: Option<Creep>) -> Self {
+        Self { creep, ..self }
     }
 }
 
@@ -47,11 +64,13 @@ pub struct Posterior {
     pub nodes: Vec<Node>,
     /// Density (1/mm^3) on the rim of the 95 % region.
     threshold: f64,
+    /// See [`super::Settings::creep_sd`].
+    creep_sd: f64,
 }
 
 impl Posterior {
     /// Of nodes by arc length whose masses are not normalised yet.
-    pub(crate) fn of_nodes(mut nodes: Vec<Node>) -> Self {
+    pub(crate) fn of_nodes(mut nodes: Vec<Node>, creep_sd: f64) -> Self {
         let best = nodes.iter().map(|n| n.ln).fold(f64::NEG_INFINITY, f64::max);
         let places: Vec<f64> = nodes.iter().map(|n| n.state.s_mm).collect();
         let last = nodes.len().saturating_sub(1);
@@ -63,7 +82,7 @@ impl Posterior {
         let total: f64 = nodes.iter().map(|n| n.mass).sum();
         nodes.iter_mut().for_each(|n| n.mass /= total);
         let threshold = threshold(&nodes);
-        Self { nodes, threshold }
+        Self { nodes, threshold, creep_sd }
     }
 
     /// Density at a state, 1/mm^3.
@@ -123,13 +142,22 @@ impl Posterior {
     pub(crate) fn place(&self, path: &ContactPath<'_>, row: usize) -> EpisodeContact {
         let (mut mean, mut square, mut contact) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
         let mut total = 0.0;
+        // How far the point has crept by one standard deviation of each share.
+        let way = creep_mm(&path.push, path.turned(row), &path.displacement(row), self.creep_sd);
+        let way = Matrix3x2::from_columns(&way);
         for n in self.nodes.iter().filter(|n| n.mass > 1e-9) {
             let Some((touch, across)) = path.touch(&n.state) else { continue };
-            let at = path.carried(&(touch - path.push * n.state.onset_mm), row);
-            let axes = nalgebra::Matrix3x2::from_columns(&[-path.push, across]);
+            let mut at = path.carried(&(touch - path.push * n.state.onset_mm), row);
+            let axes = Matrix3x2::from_columns(&[-path.push, across]);
             let turn = path.turned(row).matrix() * axes;
+            let mut covariance = turn * n.covariance_mm2 * turn.transpose();
+            if let Some(creep) = &n.creep {
+                at += way * creep.mean;
+                let both = turn * creep.with_state * way.transpose();
+                covariance += way * creep.covariance * way.transpose() + both + both.transpose();
+            }
             mean += at * n.mass;
-            square += (turn * n.covariance_mm2 * turn.transpose() + at * at.transpose()) * n.mass;
+            square += (covariance + at * at.transpose()) * n.mass;
             let sd = n.covariance_mm2[(0, 0)].max(1e-18).sqrt();
             let past = (at - touch).dot(&path.push) / sd;
             contact += n.mass * if path.rows[row].free { 0.0 } else { normal_share(past) };

@@ -31,9 +31,9 @@
 
 mod node;
 
-use super::contact_path::{BEFORE_MM, ContactPath, loaded};
+use super::contact_path::{BEFORE_MM, ContactPath, creep_mm, loaded};
 use super::posterior;
-use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings};
+use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings, TABLE_MM};
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use node::{NodeFilter, Reading};
 
@@ -199,6 +199,7 @@ impl RecursivePosterior {
             nodes: Vec::new(),
             readings: 1,
         };
+        let (first, lead) = (&own.with_creep(field, first), &own.all_with_creep(field, lead));
         let lowest = lead.iter().map(|row| own.along_mm(field, row)).fold(0.0, f64::min);
         let at_first = own.reading(field, first, 0.0, 0.0);
         let length = field.length_mm() - settings.first_mm;
@@ -234,6 +235,7 @@ impl RecursivePosterior {
 
     /// Takes the next reading.
     pub fn push(&mut self, field: &MomentField, row: &MotionRow) {
+        let row = &self.with_creep(field, row);
         let middle_mm = middle(field, &motion_since(&self.reference, row));
         let reading = self.reading(field, row, (middle_mm - self.middle_mm).norm(), row.t_s - self.last_s);
         let mut before: Vec<&NodeFilter> = self.nodes.iter().collect();
@@ -283,6 +285,24 @@ impl RecursivePosterior {
         self.normalise();
     }
 
+    /// The reading with the two unknowns of a creeping contact, where it may creep.
+    fn with_creep(&self, field: &MomentField, row: &MotionRow) -> MotionRow {
+        let mut row = row.clone();
+        let creep_sd = self.settings.creep_sd;
+        if creep_sd > 0.0 {
+            let motion = motion_since(&self.reference, &row);
+            let moved_mm = middle(field, &motion) - middle(field, &(Rotation3::identity(), Vector3::zeros()));
+            row.shared_displacement_mm.resize(row.shared_nmm.len(), Vector3::zeros());
+            row.shared_displacement_mm.extend(creep_mm(&self.push, &motion.0, &moved_mm, creep_sd));
+            row.shared_nmm.extend([[0.0; 2]; 2]);
+        }
+        row
+    }
+
+    fn all_with_creep(&self, field: &MomentField, rows: &[MotionRow]) -> Vec<MotionRow> {
+        rows.iter().map(|row| self.with_creep(field, row)).collect()
+    }
+
     /// Where the wire is held at a reading that was taken, and the posterior.
     pub fn place(&self, field: &MomentField, row: &MotionRow) -> (EpisodeContact, Posterior) {
         let posterior = self.posterior();
@@ -294,11 +314,14 @@ impl RecursivePosterior {
 
     /// The posterior over arc length, onset and gap.
     pub fn posterior(&self) -> Posterior {
+        // The interpolated wire is off by as much at every reading: no number of them averages it out.
+        let table_mm2 = Matrix2::identity() * TABLE_MM.powi(2);
         let node = |n: &NodeFilter| {
             let (state, covariance_mm2) = n.state();
-            posterior::Node::new(state, covariance_mm2, n.ln)
+            let creep = (self.settings.creep_sd > 0.0).then(|| n.creep(self.reference.shared_nmm.len()));
+            posterior::Node::new(state, covariance_mm2 + table_mm2, n.ln).with_creep(creep)
         };
-        Posterior::of_nodes(self.nodes.iter().map(node).collect())
+        Posterior::of_nodes(self.nodes.iter().map(node).collect(), self.settings.creep_sd)
     }
 
     /// Innovations so far, at the node of highest density.

@@ -125,7 +125,8 @@ impl SlidingContact {
             && self.gaps <= MAX_GAPS
     }
 
-    fn nothing(readings: usize) -> Self {
+    /// One that is nowhere.
+    pub(crate) fn nothing(readings: usize) -> Self {
         Self {
             places: vec![free(); readings],
             regions: vec![Vec::new(); readings],

@@ -3,7 +3,7 @@
 use super::CorrelatedNoise;
 use crate::known_motion::contact_path::{ACROSS, PLAY_MM, State, play};
 use crate::known_motion::field::ContactMoments;
-use crate::known_motion::posterior::normal_share;
+use crate::known_motion::posterior::{Creep, normal_share};
 use crate::known_motion::{MomentField, MotionRow, Settings, TABLE_MM, TABLE_SHARE};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Matrix2xX, Rotation3, Vector2, Vector3};
 
@@ -46,6 +46,14 @@ pub(super) struct Reading<'a> {
     pub loaded: bool,
     /// The contact was left since the reading before: friction remembers nothing.
     pub touched_anew: bool,
+}
+
+impl Reading<'_> {
+    /// Place of the two unknowns of a creeping contact in the state, and how far one standard deviation of each moves the point, mm.
+    fn creep(&self) -> Option<(usize, [Vector3<f64>; 2])> {
+        let [.., a, b] = self.row.shared_displacement_mm[..] else { return None };
+        (self.settings.creep_sd > 0.0).then_some((COMMON + self.row.shared_nmm.len() - 2, [a, b]))
+    }
 }
 
 /// Gaussian of (x, g, c, tau, b) given the arc length; while the lead is taken, b at the first loaded reading stands after it.
@@ -210,6 +218,16 @@ impl NodeFilter {
         (state, self.covariance.fixed_view::<2, 2>(0, 0).into())
     }
 
+    /// The last two of `common + 2` common unknowns, those of a creeping contact.
+    pub fn creep(&self, common: usize) -> Creep {
+        let at = COMMON + common;
+        Creep {
+            mean: self.mean.fixed_rows::<2>(at).into(),
+            covariance: self.covariance.fixed_view::<2, 2>(at, at).into(),
+            with_state: self.covariance.fixed_view::<2, 2>(0, at).into(),
+        }
+    }
+
     /// Displacement along the push past first touch at the mean, mm.
     pub fn depth_mm(&self, reading: &Reading<'_>) -> f64 {
         (self.place_mm(reading, &self.mean) - self.touch_mm(&self.mean)).dot(&reading.push)
@@ -220,7 +238,9 @@ impl NodeFilter {
     }
 
     fn place_mm(&self, reading: &Reading<'_>, z: &DVector<f64>) -> Vector3<f64> {
-        reading.turn * (self.touch_mm(z) - reading.push * z[ONSET]) + reading.displacement_mm
+        let crept =
+            reading.creep().map_or_else(Vector3::zeros, |(at, way)| way[0] * z[at] + way[1] * z[at + 1]);
+        reading.turn * (self.touch_mm(z) - reading.push * z[ONSET]) + reading.displacement_mm + crept
     }
 
     /// Moments, slope and contact of the held wire; none where it has no equilibrium.
@@ -322,10 +342,13 @@ impl NodeFilter {
         let (before, y) = (self.mean.clone(), Vector2::from(reading.row.moment_nmm));
         let mut z = before.clone();
         let share = reading.settings.gross_share;
+        let creep = reading.creep().map(|(at, _)| at);
         for n in 1..=iterations {
             // Innovation at the prior mean by the slope at the present one.
             let innovation = y - at.moment_nmm - &at.slope * &before
-                + at.slope.fixed_columns::<2>(0) * z.fixed_rows::<2>(0);
+                + at.slope.fixed_columns::<2>(0) * z.fixed_rows::<2>(0)
+                + creep
+                    .map_or_else(Vector2::zeros, |k| at.slope.fixed_columns::<2>(k) * z.fixed_rows::<2>(k));
             let to_state = &at.slope * &self.covariance;
             let known = &to_state * at.slope.transpose();
             let known = Matrix2::new(known[(0, 0)], known[(0, 1)], known[(1, 0)], known[(1, 1)]);

@@ -11,8 +11,8 @@
 use super::physical::PhysicalModel;
 use super::rod_parameters::RodParameters;
 use super::rod_tables::rod_of;
-use super::system::{AIR_KG_M3, WhiskerSystem};
-use super::whisker_effect::ActiveEffect;
+use super::system::{AIR_KG_M3, WhiskerSystem, driven};
+use super::whisker_effect::{ActiveEffect, Observers};
 use crate::whisker::path::WhiskerPath;
 use nalgebra::{DMatrix, Matrix2, Vector3};
 use wcal_core::WhiskerSpec;
@@ -117,12 +117,7 @@ struct Mechanics {
 type RodOf<'a> = &'a dyn Fn(&RodParameters) -> Option<Rod>;
 
 fn mechanics(path: &WhiskerPath, rod_of: RodOf<'_>, model: &PhysicalModel) -> Option<Mechanics> {
-    let mut rod = RodParameters::default();
-    let mut xs_mm: Vec<f64> = path.nodes.iter().map(|n| n.x_mm).collect();
-    for active in &model.terms() {
-        (active.effect.rod)(&active.values(), &mut rod);
-        (active.effect.pose)(&active.values(), path, &mut xs_mm);
-    }
+    let (xs_mm, rod) = driven(path, &model.terms(), Observers::Cameras, model.stage_clock_s);
     let wire = AcceptedWire {
         rod: rod_of(&rod)?,
         friction: rod.friction,
@@ -148,7 +143,9 @@ fn through(
     let (factor, mechanical) = factor(model);
     let others = factor.column_iter().map(|f| mechanics(path, rod_of, &with_values(model, f.as_slice())));
     let others = others.collect::<Option<Vec<Mechanics>>>()?;
+    // Of a typical reading; one that averages fewer samples has more.
     let noise_nmm2 = inverse * inverse.transpose() * model.noise_sd_pm.powi(2);
+    let variances = model.relative_variances(&path.readings);
     let mut node_of = vec![0; path.readings.len()];
     for (n, node) in path.nodes.iter().enumerate() {
         if let Some(i) = node.reading {
@@ -160,7 +157,7 @@ fn through(
         let common = &gradients[i] * &factor;
         CalibratedReading {
             moment_nmm: m.moment_nmm,
-            noise_nmm2,
+            noise_nmm2: noise_nmm2 * variances[i],
             valid: m.valid,
             shared_nmm: common.column_iter().map(|u| [-u[0], -u[1]]).collect(),
             shared_displacement_mm: others.iter().map(|o| o.xs_mm[n] - xs_mm[n]).collect(),
@@ -331,7 +328,8 @@ pub(super) fn factor(model: &PhysicalModel) -> (DMatrix<f64>, usize) {
 mod tests {
     use super::*;
     use crate::whisker::physical::AcceptedEffect;
-    use wcal_core::FbgSpec;
+    use wcal_core::observation::{MomentAxes, Trajectory};
+    use wcal_core::{FbgSpec, Role, WhiskerRow};
 
     fn model(effects: Vec<AcceptedEffect>) -> PhysicalModel {
         let size = 6 + effects.iter().map(|e| e.values.len()).sum::<usize>();
@@ -341,6 +339,8 @@ mod tests {
             covariance: (0..size).map(|i| (0..size).map(|j| covariance(i, j)).collect()).collect(),
             noise_sd_pm: 0.5,
             correlated_noise: None,
+            averaging: None,
+            stage_clock_s: 0.0,
             effects,
             seatings: 1,
             fbg: FbgSpec::default(),
@@ -381,6 +381,63 @@ mod tests {
             let sd = model.sd_nmm(&inverse, &gradient, 0.5);
             assert!((sum[(0, 0)].sqrt() - sd[0]).abs() < 1e-12 && (sum[(1, 1)].sqrt() - sd[1]).abs() < 1e-12);
         }
+    }
+
+    /// Ten readings of one stroke at 2 mm/s, up and down.
+    fn strokes() -> WhiskerPath {
+        let row = |k: usize| WhiskerRow {
+            source: String::new(),
+            line: k,
+            point: k as i64,
+            role: Role::Verification,
+            trajectory: Some(1),
+            replicate: None,
+            t_s: Some(0.5 * k as f64),
+            stage_mm: Some(if k < 5 { k as f64 } else { 9.0 - k as f64 }),
+            direction: Some(if k < 5 { 1.0 } else { -1.0 }),
+            speed_mm_s: Some(2.0),
+            dwell_s: None,
+            average_s: None,
+            groove_mm: None,
+            temperature_degc: None,
+            shift_pm: [10.0, 5.0],
+            reference_shift_pm: None,
+            shift_sd_pm: None,
+            samples: None,
+            seating: 0,
+            sealed: false,
+            pair: None,
+        };
+        let rows: Vec<WhiskerRow> = (0..10).map(row).collect();
+        let line = Trajectory {
+            id: 1,
+            nominal_arclength_mm: Some(30.0),
+            origin_mm: Vector3::new(30.0, 0.0, 0.0),
+            direction: Vector3::z(),
+        };
+        let rows: Vec<&WhiskerRow> = rows.iter().collect();
+        WhiskerPath::new(&rows, &[line], &MomentAxes::default(), &FbgSpec::default(), None, None)
+    }
+
+    #[test]
+    fn the_stage_moves_as_in_the_fit() {
+        let rod = |rod: &RodParameters| rod_of(&WhiskerSpec::nominal(), AIR_KG_M3, rod);
+        let path = strokes();
+        let of = |effects: Vec<AcceptedEffect>, stage_clock_s: f64| {
+            mechanics(&path, &rod, &PhysicalModel { stage_clock_s, ..model(effects) }).unwrap().xs_mm
+        };
+        let screw = || effect("stage-backlash", "play-centred", vec![0.04]);
+        let lag = || effect("time-lag", "delay", vec![0.1]);
+        // The order of the file is not that of the signal.
+        assert_eq!(of(vec![screw(), lag()], 0.0), of(vec![lag(), screw()], 0.0));
+        // What the cameras alone see moves no groove.
+        let alone = of(vec![lag()], 0.0);
+        assert_eq!(of(vec![lag(), effect("picture-clock", "offset", vec![0.3])], 0.0), alone);
+        // Control: a lag moves it, and so does the clock to which the fit set the stage.
+        assert_ne!(alone, of(vec![], 0.0));
+        let [later, plain] = [0.01, 0.0].map(|clock_s| of(vec![], clock_s));
+        let moved: Vec<f64> = later.iter().zip(&plain).map(|(a, b)| a - b).collect();
+        assert!((moved[1] - 0.02).abs() < 1e-12 && (moved[8] + 0.02).abs() < 1e-12, "{moved:?}");
     }
 
     #[test]

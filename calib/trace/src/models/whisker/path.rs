@@ -135,11 +135,7 @@ const AVERAGED_ALIKE: f64 = 1.5;
 /// Variances that averages have by their numbers of samples, 1 for a typical settled loaded reading; empty where all are alike or a
 /// number is missing. Each reading: samples, loaded, settled.
 pub(crate) fn averaged(readings: &[(Option<u32>, bool, bool)]) -> Vec<f64> {
-    let of = |settled: bool| {
-        let kept = readings.iter().filter(|r| r.1 && (r.2 || !settled));
-        median(kept.filter_map(|r| r.0).map(f64::from))
-    };
-    let Some(typical) = of(true).or_else(|| of(false)) else { return Vec::new() };
+    let Some(typical) = typical(readings) else { return Vec::new() };
     let variance = |r: &(Option<u32>, bool, bool)| r.0.map(|n| typical / f64::from(n.max(1)));
     let Some(variances) = readings.iter().map(variance).collect::<Option<Vec<f64>>>() else {
         return Vec::new();
@@ -149,9 +145,27 @@ pub(crate) fn averaged(readings: &[(Option<u32>, bool, bool)]) -> Vec<f64> {
     if most > AVERAGED_ALIKE * least { variances } else { Vec::new() }
 }
 
-/// The same of readings on a path.
+/// Samples of a typical settled loaded reading; of a loaded one where none settled.
+fn typical(readings: &[(Option<u32>, bool, bool)]) -> Option<f64> {
+    let of = |settled: bool| {
+        let kept = readings.iter().filter(|r| r.1 && (r.2 || !settled));
+        median(kept.filter_map(|r| r.0).map(f64::from))
+    };
+    of(true).or_else(|| of(false))
+}
+
+fn sizes(readings: &[Reading]) -> Vec<(Option<u32>, bool, bool)> {
+    readings.iter().map(|r| (r.samples, !r.rest, r.dwell_s > 0.0)).collect()
+}
+
+/// [`averaged`] of readings on a path.
 pub(crate) fn averaged_readings(readings: &[Reading]) -> Vec<f64> {
-    averaged(&readings.iter().map(|r| (r.samples, !r.rest, r.dwell_s > 0.0)).collect::<Vec<_>>())
+    averaged(&sizes(readings))
+}
+
+/// [`typical`] of readings on a path.
+pub(crate) fn typical_samples(readings: &[Reading]) -> Option<f64> {
+    typical(&sizes(readings))
 }
 
 /// The temperature's walk over `rows`; none where they have no clock, no temperature, or it does not scatter.

@@ -12,7 +12,7 @@ use crate::method::inference::covariance;
 use crate::method::noise::Noise;
 use crate::scalar::ModelError;
 use crate::scalar::model::square;
-use crate::whisker::path::WhiskerPath;
+use crate::whisker::path::{Reading, WhiskerPath, typical_samples};
 use nalgebra::{DMatrix, Matrix2, Vector2};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -43,6 +43,15 @@ pub struct CorrelatedReadings {
     pub time_constant_s: f64,
 }
 
+/// How the variance of a reading depends on the samples n that it averages: `(common + samples / n) / (common + 1)` of a typical one's.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Averaging {
+    /// Samples of a typical loaded reading.
+    pub samples: f64,
+    /// Variance that averaging does not lower, beside 1 of a typical reading's average.
+    pub common: f64,
+}
+
 /// Wavelengths as a function of base moments, with accepted effects: `y = B' [1, m, columns]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct PhysicalModel {
@@ -56,6 +65,12 @@ pub struct PhysicalModel {
     /// predicts no better.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub correlated_noise: Option<CorrelatedReadings>,
+    /// What the readings' noise is the noise of; absent where the session does not say how many samples it averaged.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub averaging: Option<Averaging>,
+    /// By how much the session's stage clock was set to agree with the readings', s: its positions are those of so much later.
+    #[serde(default)]
+    pub stage_clock_s: f64,
     /// Accepted effects.
     pub effects: Vec<AcceptedEffect>,
     /// Seatings that the fit saw; each after the first has a zero of its own, and new readings belong to the last.
@@ -82,6 +97,9 @@ pub struct Inferred {
     pub valid: bool,
 }
 
+/// More samples than any reading averages, and a clock that is farther off than any stage's, s.
+const MAX_SAMPLES: f64 = 1e9;
+const MAX_STAGE_CLOCK_S: f64 = 10.0;
 /// Share of the largest fitted moment that is still valid.
 pub(super) const VALID_SHARE: f64 = 1.1;
 
@@ -118,6 +136,8 @@ impl PhysicalModel {
             covariance: covariance.row_iter().map(|r| r.iter().copied().collect()).collect(),
             noise_sd_pm,
             correlated_noise: None,
+            averaging: None,
+            stage_clock_s: system.stage_clock_s(),
             effects,
             seatings: system.seatings(),
             fbg: system.data.fbg.clone(),
@@ -136,6 +156,22 @@ impl PhysicalModel {
             time_constant_s: *tau,
         });
         Self { correlated_noise, ..self }
+    }
+
+    /// With how the variance of a reading depends on the samples that it averages, where the session says how many.
+    pub fn with_averaging(self, system: &WhiskerSystem, noise: &Noise) -> Self {
+        let averaging =
+            typical_samples(&system.path.readings).map(|samples| Averaging { samples, common: noise.common });
+        Self { averaging, ..self }
+    }
+
+    /// Variances of a path's readings beside 1 of a typical reading of the calibration's own session.
+    pub fn relative_variances(&self, readings: &[Reading]) -> Vec<f64> {
+        let of = |r: &Reading| match (self.averaging, r.samples) {
+            (Some(a), Some(n)) => (a.common + a.samples / f64::from(n.max(1))) / (a.common + 1.0),
+            _ => 1.0,
+        };
+        readings.iter().map(of).collect()
     }
 
     /// Sensitivity K, pm/(N mm): rows are channels.
@@ -181,6 +217,14 @@ impl PhysicalModel {
         }
         if self.noise_sd_pm < 0.0 {
             return Err(ModelError::shape("noise_sd_pm", "0 or more", self.noise_sd_pm));
+        }
+        let known = |a: &Averaging| a.samples >= 1.0 && a.samples <= MAX_SAMPLES && a.common >= 0.0;
+        if let Some(a) = self.averaging.filter(|a| !known(a)) {
+            let (expected, found) = ("1 to 1e9 samples, a variance of 0 or more", (a.samples, a.common));
+            return Err(ModelError::shape("averaging", expected, format!("{found:?}")));
+        }
+        if !(self.stage_clock_s.abs() <= MAX_STAGE_CLOCK_S) {
+            return Err(ModelError::shape("stage_clock_s", "at most 10 s", self.stage_clock_s));
         }
         let sound = |c: &CorrelatedReadings| c.sd_pm >= 0.0 && c.own_sd_pm > 0.0 && c.time_constant_s > 0.0;
         if let Some(c) = self.correlated_noise.filter(|c| !sound(c)) {
@@ -259,7 +303,9 @@ impl PhysicalModel {
     ///
     /// Memory is a small correction, so plain fixed-point iteration undoes it.
     pub fn infer(&self, path: &WhiskerPath, memory: Option<&[[f64; 2]]>) -> Vec<Inferred> {
-        self.infer_under(path, memory, &vec![self.noise_sd_pm; path.readings.len()])
+        let noise_pm = |variance: f64| self.noise_sd_pm * variance.sqrt();
+        let noise_pm: Vec<f64> = self.relative_variances(&path.readings).into_iter().map(noise_pm).collect();
+        self.infer_under(path, memory, &noise_pm)
     }
 
     /// The same where the noise of each reading is known, pm.

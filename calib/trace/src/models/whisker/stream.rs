@@ -165,6 +165,8 @@ mod tests {
             covariance,
             noise_sd_pm: 0.05,
             correlated_noise: None,
+            averaging: None,
+            stage_clock_s: 0.0,
             effects,
             seatings: 1,
             fbg: FbgSpec { temperature_compensated: true, ..FbgSpec::default() },

@@ -68,6 +68,29 @@ fn dynamic(m: &Matrix2<f64>) -> DMatrix<f64> {
     DMatrix::from_column_slice(2, 2, m.as_slice())
 }
 
+/// Effective stage positions of a path's nodes, mm, and the rod, without what only `unseen` see; the stage's clock set by `stage_clock_s`.
+pub(super) fn driven(
+    path: &WhiskerPath,
+    active: &[ActiveEffect],
+    unseen: Observers,
+    stage_clock_s: f64,
+) -> (Vec<f64>, RodParameters) {
+    let stamped = |n: &Node| {
+        let v = n.reading.map_or(0.0, |i| path.readings[i].velocity_mm_s);
+        n.x_mm + v * stage_clock_s
+    };
+    let mut xs: Vec<f64> = path.nodes.iter().map(stamped).collect();
+    let mut rod_parameters = RodParameters::default();
+    // In the order of the catalogue, which is that of the signal: the reading lags behind a groove that lags behind the screw.
+    let mut acting: Vec<&ActiveEffect> = active.iter().filter(|a| a.effect.observers != unseen).collect();
+    acting.sort_by_key(|a| a.term.effect);
+    for a in acting {
+        (a.effect.pose)(&a.values(), path, &mut xs);
+        (a.effect.rod)(&a.values(), &mut rod_parameters);
+    }
+    (xs, rod_parameters)
+}
+
 impl WhiskerSystem {
     /// System of the given rows (points, or points and sealed rows for prediction).
     ///
@@ -183,22 +206,9 @@ impl WhiskerSystem {
         }
     }
 
-    /// Effective stage positions of the nodes, mm, and the rod, without what only `unseen` see.
+    /// See [`driven`].
     pub(super) fn driven(&self, active: &[ActiveEffect], unseen: Observers) -> (Vec<f64>, RodParameters) {
-        let stamped = |n: &Node| {
-            let v = n.reading.map_or(0.0, |i| self.path.readings[i].velocity_mm_s);
-            n.x_mm + v * self.stage_clock_s
-        };
-        let mut xs: Vec<f64> = self.path.nodes.iter().map(stamped).collect();
-        let mut rod_parameters = RodParameters::default();
-        // In the order of the catalogue, which is that of the signal: the reading lags behind a groove that lags behind the screw.
-        let mut acting: Vec<&ActiveEffect> = active.iter().filter(|a| a.effect.observers != unseen).collect();
-        acting.sort_by_key(|a| a.term.effect);
-        for a in acting {
-            (a.effect.pose)(&a.values(), &self.path, &mut xs);
-            (a.effect.rod)(&a.values(), &mut rod_parameters);
-        }
-        (xs, rod_parameters)
+        driven(&self.path, active, unseen, self.stage_clock_s)
     }
 
     /// Effective moments at the readings, N mm, memory included, and the base moments before it.

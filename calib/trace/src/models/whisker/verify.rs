@@ -104,11 +104,10 @@ pub fn verify_whisker(
         model: {
             let noise = noise_for_predictions(&system, &conclusion.accepted, options.search.seed);
             let (factor, clock) = (system.noise_factor(), system.path.columns.time);
-            PhysicalModel::new(&system, &conclusion.accepted, v.floor_sd).with_correlated(
-                noise.as_ref().unwrap_or(&unsealed.noise),
-                factor,
-                clock,
-            )
+            let noise = noise.as_ref().unwrap_or(&unsealed.noise);
+            PhysicalModel::new(&system, &conclusion.accepted, v.floor_sd)
+                .with_correlated(noise, factor, clock)
+                .with_averaging(&system, noise)
         },
         further: v.errors.further,
         predictions: [unsealed.before, unsealed.after],

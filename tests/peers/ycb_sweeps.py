@@ -99,7 +99,7 @@ def main():
         out = args.out or pathlib.Path(scratch)
         begin = time.perf_counter()
         done = subprocess.run([args.lab, "simulate", "--meshes", str(args.meshes), "--sweeps", str(args.sweeps), "--seed", "1",
-                               "--json", "--report", "--out", str(out)], stdout=subprocess.PIPE, text=True,
+                               "--json", "--out", str(out)], stdout=subprocess.PIPE, text=True,
                               env={**os.environ, "RAYON_NUM_THREADS": str(args.jobs)})
         wall_min = (time.perf_counter() - begin) / 60
         assert done.returncode in (0, 3), done.returncode

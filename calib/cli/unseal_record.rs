@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use wcal_core::document;
-use wcal_core::{InputFile, Provenance, Purpose, Seal, Unsealing};
+use wcal_core::{InputFile, Ledger, Provenance, Purpose, Seal, Unsealing};
 use wcal_session::LoadedSession;
 
 /// A held-out file that was opened.
@@ -52,6 +52,7 @@ fn read_unsealed(path: &Path) -> anyhow::Result<Vec<Unsealed>> {
 
 /// Where it is recorded which held-out files were opened: beside the session, so that another output folder does not forget it, or in the
 /// output folder where the session cannot be written to.
+#[derive(Clone)]
 pub struct UnsealRecord {
     places: [PathBuf; 2],
     known: [Vec<Unsealed>; 2],
@@ -97,7 +98,14 @@ impl UnsealRecord {
             files: session.inputs.iter().filter(|i| i.purpose == Purpose::Holdout).cloned().collect(),
             opened_before: self.known.iter().flatten().map(|u| u.sha256.clone()).collect(),
             program: provenance.program.clone(),
+            ..Seal::default()
         }
+    }
+
+    /// Writes each unsealing down before a row comes out.
+    pub fn ledger(&self, provenance: &Provenance) -> Ledger {
+        let (record, provenance) = (self.clone(), provenance.clone());
+        Ledger::new(move |unsealing| record.add(unsealing, &provenance).map_err(|e| format!("{e:#}")))
     }
 
     /// Records an unsealing for good.

@@ -26,7 +26,7 @@ use wcal_contact::sweep_verify::verify_with_sweep;
 use wcal_contact::sweep_witness::SweepWitness;
 use wcal_core::files::folder_of;
 use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, VerifyDocument};
-use wcal_core::{Provenance, SessionData, Unsealing, VerificationStatus, WhiskerData};
+use wcal_core::{Provenance, Seal, SessionData, Unsealing, VerificationStatus, WhiskerData};
 use wcal_report::ReportInput;
 use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
 use wcal_trace::method::options::{Options, ProgressListener};
@@ -216,7 +216,8 @@ pub fn verify_session(
 ) -> anyhow::Result<ReportInput> {
     let provenance = provenance(session, options.search.seed);
     let record = UnsealRecord::read(session, out.folder())?;
-    let options = VerifyOptions { seal: record.seal(session, &provenance), ..options };
+    let ledger = record.ledger(&provenance);
+    let options = VerifyOptions { seal: Seal { ledger, ..record.seal(session, &provenance) }, ..options };
     let Outcome { mut report, predictions, model, unsealing, judged } = match &session.data {
         SessionData::Whisker(data) => {
             let witness = sweep.map(|folder| witness(folder, data)).transpose()?;
@@ -232,9 +233,6 @@ pub fn verify_session(
             of_scalar_session(session, ScalarData::Axis(data), &options, given, provenance.clone())?
         }
     };
-    if let Some(unsealing) = &unsealing {
-        record.add(unsealing, &provenance)?;
-    }
     add_notes(&mut report.verify, session, unsealing.is_some_and(|u| u.seen_before));
     report.verify.inputs = session.inputs.clone();
     report.verify.simulated = session.simulated;

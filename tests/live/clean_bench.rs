@@ -2,6 +2,7 @@
 //!
 //! `WCAL_DRAWS=20 cargo test --workspace --test live clean_bench:: -- --nocapture` prints the rate over more of them.
 
+use crate::support::board_pictures::board_pictures;
 use crate::support::virtual_bench::VirtualBench;
 use crate::support::{code_and_messages, fixture};
 use serde_json::Value;
@@ -15,6 +16,9 @@ fn verdict(seed: u64, effects: &str) -> Value {
         "format = \"wcal-scenario/1\"\nseed = {seed}\nspeed = 3.0\n[interrogator]\nrate_hz = 500\n[cameras]\nrate_hz = 5\n{effects}"
     );
     let bench = VirtualBench::serve(folder.path(), "", &scenario);
+    let addresses: Value = serde_json::from_slice(&std::fs::read(&bench.addresses).unwrap()).unwrap();
+    let board = folder.path().join("board");
+    board_pictures([0, 1].map(|k| addresses["cameras"][k].as_str().unwrap()), &board, 12).unwrap();
     let [rig, plan] =
         ["rig.toml", "plan.toml"].map(|name| fixture("pictured").join(name).display().to_string());
     let (session, cameras, out) = (at("session"), at("cameras"), at("verify"));
@@ -23,7 +27,7 @@ fn verdict(seed: u64, effects: &str) -> Value {
     let (code, text) = code_and_messages(&[&["stage-sweep", "--home"][..], &sweep].concat());
     assert!(code == 0 || code == 3, "{text}");
     drop(bench);
-    let [left, right] = ["left", "right"].map(|side| format!("{session}/pictures/board/{side}"));
+    let [left, right] = ["left", "right"].map(|side| board.join(side).display().to_string());
     let board = ["--board", "9x6", "--square-mm", "6", "--out", &cameras];
     let (code, text) = code_and_messages(&[&["stereo-calibrate", &left, &right][..], &board].concat());
     assert!(code == 0 || code == 3, "{text}");

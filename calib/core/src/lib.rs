@@ -38,5 +38,5 @@ pub use observation::{
 };
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;
-pub use sealed::{Labelled, RowLabel, Seal, Sealed, Unsealing};
+pub use sealed::{Labelled, Ledger, RowLabel, Seal, Sealed, Unsealing};
 pub use wire_frame::WireFrame;

@@ -2,6 +2,7 @@
 
 use crate::provenance::InputFile;
 use std::fmt;
+use std::sync::Arc;
 
 /// Sealed rows. There is no way to their values but `unseal`: they are not written, not printed, and a check of admission gives no more than
 /// its answer.
@@ -47,7 +48,7 @@ impl<R> Default for Sealed<R> {
 }
 
 /// What is known of the files behind the seal before it is broken.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Seal {
     /// Files whose rows are sealed.
     pub files: Vec<InputFile>,
@@ -55,6 +56,27 @@ pub struct Seal {
     pub opened_before: Vec<String>,
     /// Program that will break it.
     pub program: String,
+    /// Where it is written that the seal is broken, before any row comes out.
+    pub ledger: Ledger,
+}
+
+type Write = dyn Fn(&Unsealing) -> Result<(), String> + Send + Sync;
+
+/// Writes down for good that a seal is broken.
+#[derive(Clone, Default)]
+pub struct Ledger(Option<Arc<Write>>);
+
+impl Ledger {
+    /// One that writes; its error keeps the rows sealed.
+    pub fn new(write: impl Fn(&Unsealing) -> Result<(), String> + Send + Sync + 'static) -> Self {
+        Self(Some(Arc::new(write)))
+    }
+}
+
+impl fmt::Debug for Ledger {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if self.0.is_some() { "Ledger" } else { "no ledger" })
+    }
 }
 
 /// Record of an unsealing.
@@ -124,8 +146,11 @@ impl<R> Sealed<R> {
         check(&self.rows)
     }
 
-    /// Breaks the seal.
-    pub fn unseal(&self, seal: &Seal) -> (&[R], Unsealing) {
+    /// Breaks the seal, once that is written down.
+    ///
+    /// # Errors
+    /// What the ledger says where it cannot be written: nothing comes out then.
+    pub fn unseal(&self, seal: &Seal) -> Result<(&[R], Unsealing), String> {
         let seen_before = seal.files.iter().any(|f| seal.opened_before.contains(&f.sha256));
         let record = Unsealing {
             files: seal.files.clone(),
@@ -133,7 +158,10 @@ impl<R> Sealed<R> {
             program: seal.program.clone(),
             rows: self.rows.len(),
         };
-        (&self.rows, record)
+        if let Some(write) = seal.ledger.0.as_ref().filter(|_| !self.is_empty()) {
+            write(&record)?;
+        }
+        Ok((&self.rows, record))
     }
 }
 
@@ -150,11 +178,16 @@ mod tests {
         };
         let mut sealed = Sealed::new(vec![1, 2]);
         sealed.join(Sealed::new(vec![3]));
-        let mut seal = Seal { files: vec![file("a")], opened_before: vec!["b".into()], program: "p".into() };
-        let (rows, first) = sealed.unseal(&seal);
+        let mut seal = Seal {
+            files: vec![file("a")],
+            opened_before: vec!["b".into()],
+            program: "p".into(),
+            ..Seal::default()
+        };
+        let (rows, first) = sealed.unseal(&seal).unwrap();
         assert_eq!((rows, first.seen_before, first.rows), (&[1, 2, 3][..], false, 3));
         seal.opened_before.push("a".into());
-        assert!(sealed.unseal(&seal).1.seen_before);
+        assert!(sealed.unseal(&seal).unwrap().1.seen_before);
     }
 
     #[test]
@@ -164,6 +197,23 @@ mod tests {
         assert_eq!(sealed.which(|r| *r > 42.0), [false, true]);
         assert_eq!(sealed.refusal(|rows| (rows.len() > 1).then(|| "two".to_owned())), Some("two".to_owned()));
         // Control: unsealed they are there.
-        assert_eq!(sealed.unseal(&Seal::default()).0, [41.5, 42.5]);
+        assert_eq!(sealed.unseal(&Seal::default()).unwrap().0, [41.5, 42.5]);
+    }
+
+    #[test]
+    fn rows_come_out_after_the_ledger_is_written_and_not_without() {
+        let written = Arc::new(std::sync::Mutex::new(0));
+        let count = Arc::clone(&written);
+        let ledger = Ledger::new(move |u| {
+            *count.lock().unwrap() += u.rows;
+            Ok(())
+        });
+        let sealed = Sealed::new(vec![1.0]);
+        sealed.unseal(&Seal { ledger, ..Seal::default() }).unwrap();
+        assert_eq!(*written.lock().unwrap(), 1);
+        let full = Seal { ledger: Ledger::new(|_| Err("disk full".to_owned())), ..Seal::default() };
+        assert_eq!(sealed.unseal(&full), Err("disk full".to_owned()));
+        // Control: what is empty was not opened.
+        assert!(Sealed::<f64>::default().unseal(&full).is_ok());
     }
 }

@@ -16,6 +16,9 @@ pub enum TraceError {
     /// The declared model has no solution at the readings.
     #[error("fitting the declared model: expected a solution at every reading, found none")]
     NoSolution,
+    /// It cannot be written down that the holdout is opened.
+    #[error("opening the holdout: expected a record of it beside the session or the result, found {0}")]
+    NoLedger(String),
     /// The explanation to be accepted is none that the data leave open.
     #[error(
         "accepting {asked}: expected one of the explanations that the data do not reject ({survivors}), found another"

@@ -166,9 +166,12 @@ fn a_holdout_session_brings_its_trajectories_and_nominals() {
     attach_holdout(&mut session, other.path()).unwrap();
     let data = data(&session);
     assert_eq!(data.trajectories.len(), 2);
-    assert_eq!(data.holdout.unseal(&Seal::default()).0[1].trajectory, Some(2));
+    assert_eq!(data.holdout.unseal(&Seal::default()).unwrap().0[1].trajectory, Some(2));
     // The same absolute wavelength is the same shift from this session's nominal.
-    assert!((data.holdout.unseal(&Seal::default()).0[1].shift_pm[0] - data.rows[1].shift_pm[0]).abs() < 1e-6);
+    assert!(
+        (data.holdout.unseal(&Seal::default()).unwrap().0[1].shift_pm[0] - data.rows[1].shift_pm[0]).abs()
+            < 1e-6
+    );
 }
 
 #[test]

@@ -66,7 +66,7 @@ pub fn verify<M: SessionModel>(
         conclusion.accept(&model, found, asked)?;
     }
     // The split's seal held until here and is broken once; the unsealed readings have the last word.
-    let (rows, unsealing) = sealed.unseal(&options.seal);
+    let (rows, unsealing) = sealed.unseal(&options.seal).map_err(TraceError::NoLedger)?;
     let whole = model.whole(rows)?;
     let stage =
         Stage { model: &model, whole: &whole, explained: &explained, on_request: !asked.is_empty(), seed };

@@ -180,7 +180,7 @@ fn a_holdout_like_the_points_agrees_and_a_moved_one_does_not() {
     let p_of = |moved_pm: f64| {
         let mut data = data.clone();
         data.holdout.relabel(|r| r.shift_pm[0] += moved_pm);
-        let whole = system.whole(data.holdout.unseal(&Seal::default()).0).unwrap();
+        let whole = system.whole(data.holdout.unseal(&Seal::default()).unwrap().0).unwrap();
         let noise = NoiseEstimator::new(system, 1).noise(&found.base, &[]).unwrap().0;
         holdout_p(&whole, &found.base, &noise, &[]).unwrap()
     };

@@ -60,14 +60,17 @@ struct Bin {
     speed_mm_s: [f64; 2],
     /// Samples of MuJoCo's.
     all: usize,
+    /// Samples of MuJoCo's in which the contact opens and closes from step to step.
     chattering: usize,
     /// Samples at which both touch.
     both: usize,
+    /// Samples whose contacts are of different equilibria.
     elsewhere: usize,
     /// Squares of the moments' difference, of the rod's moments, and of the contacts' distance.
     squares: [f64; 3],
     /// Sums of |moment|, by the rod and by MuJoCo.
     sizes: [f64; 2],
+    /// Deepest overlap of the wire's skin with the mesh, mm.
     overlap_mm: f64,
 }
 

@@ -225,7 +225,7 @@ fn the_uncertainty_of_the_map_becomes_that_of_the_contact() {
     assert!(report.contains("Map U to contact U"));
 }
 
-/// The table travels with the calibration: sealed, printed at the start of `track`; files from before it keep their hash.
+/// The table travels with the calibration: sealed, printed at the start of `track`.
 #[test]
 fn the_calibration_says_what_its_uncertainty_makes_of_a_contact() {
     let folder = tempfile::tempdir().unwrap();
@@ -249,16 +249,6 @@ fn the_calibration_says_what_its_uncertainty_makes_of_a_contact() {
         first["arclength_mm"].as_f64().unwrap()
     );
     assert!(code == Some(0) && said.contains(&line), "{line}: {said}");
-
-    // As it was written before there was such a table: the six hashed fields.
-    let mut old = calibration.clone();
-    let later = ["contact_uncertainty", "frame", "noise"];
-    old.as_object_mut().unwrap().retain(|key, _| !later.contains(&key.as_str()));
-    let hashed = ["session", "verification", "expires", "model", "provenance", "whisker"];
-    let body = serde_json::to_vec(&hashed.map(|k| &calibration[k])).unwrap();
-    old["content_sha256"] = wcal_core::provenance::sha256_hex(&body).into();
-    let (code, said) = track(&old);
-    assert!(code == Some(0) && !said.contains("contact U"), "{said}");
 
     // A row that was made smaller; the table taken away.
     let mut changed = calibration.clone();

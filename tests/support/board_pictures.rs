@@ -24,22 +24,40 @@ fn frame(link: &mut TcpStream, skip: usize) -> Result<CameraFrame> {
     Ok(found)
 }
 
+/// Frames in which the bench must have heard a command: those that were drawn before it are on their way.
+const MAX_LATE: usize = 400;
+/// Mean difference of grey values beyond the noise.
+const OTHER: f64 = 3.0;
+
+/// The second frame that shows something else than `before`.
+fn next_view(link: &mut TcpStream, before: &CameraFrame) -> Result<CameraFrame> {
+    let difference = |a: &CameraFrame| {
+        let sum: f64 = a.grey.iter().zip(&before.grey).map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
+        sum / a.grey.len() as f64
+    };
+    for _ in 0..MAX_LATE {
+        if difference(&frame(link, 0)?) > OTHER {
+            return frame(link, 0);
+        }
+    }
+    Err(std::io::Error::other("the bench shows no other picture"))
+}
+
 /// Pictures of the board in so many attitudes: `FOLDER/left/VV.png` and `FOLDER/right/VV.png`. `cameras`: addresses of both.
 pub fn board_pictures(cameras: [&str; 2], folder: &Path, views: u32) -> Result<()> {
+    let mut first = TcpStream::connect(cameras[0])?;
+    let mut left = frame(&mut first, 0)?;
     for view in 0..views {
-        let mut first = TcpStream::connect(cameras[0])?;
         first.write_all(format!("board {view}\n").as_bytes())?;
-        // Frames are drawn when they are due: some may have been before the bench heard of the board. Those of the second begin after that.
-        let left = frame(&mut first, 3)?;
+        left = next_view(&mut first, &left)?;
+        // Its frames begin after the bench heard of the board.
         let right = frame(&mut TcpStream::connect(cameras[1])?, 1)?;
-        for (side, picture) in [("left", left), ("right", right)] {
+        for (side, picture) in [("left", &left), ("right", &right)] {
             std::fs::create_dir_all(folder.join(side))?;
-            let png = lossless(&picture).map_err(std::io::Error::other)?;
+            let png = lossless(picture).map_err(std::io::Error::other)?;
             std::fs::write(folder.join(format!("{side}/{view:02}.png")), png)?;
         }
-        first.write_all(b"board off\n")?;
-        // It is off once a frame has come after the bench heard of it.
-        frame(&mut first, 3)?;
     }
-    Ok(())
+    first.write_all(b"board off\n")?;
+    next_view(&mut first, &left).map(drop)
 }

@@ -15,7 +15,8 @@ const VALUES: [&str; 5] = ["-1", "0", "1000000000", "1e308", "NaN"];
 const HERE: &str = "number under test";
 
 /// Keys whose number is judged with that of another one, which the error may name in their place.
-const BESIDE: [(&str, &str); 6] = [
+const BESIDE: [(&str, &str); 7] = [
+    ("trajectory/0/origin_mm/0", "trajectory 1"),
     ("stage/zero_mm", "retract_mm"),
     ("trajectory/0/id", "trajectory 1"),
     ("declared/polynomial", "coefficients"),

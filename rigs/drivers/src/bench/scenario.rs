@@ -40,6 +40,8 @@ const RANGES: &[Range] = &[
     Range::real("swing_period_s", 1e-3, 1e9),
     Range::real("creep_s", 0.0, 1e9),
     Range::real("lag_ms", 0.0, 1e5),
+    Range::real("groove_offset_mm", -10.0, 10.0),
+    Range::real("root_turn_rad_per_nmm", -1.0, 1.0),
     Range::whole("cameras.count", 0.0, 2.0),
     Range::real("cameras.rate_hz", 1e-2, 1e3),
     Range::whole("size_px", 16.0, 4096.0),

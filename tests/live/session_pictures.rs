@@ -221,7 +221,8 @@ fn spoilt_pictures_are_named(session: &str, to: &str, stereo: &str) {
     let mut table = std::fs::read_to_string(&list).unwrap();
     // Pictures of the board as those of a pose, with hashes of their own: nobody exchanged the files, and no tag is in them.
     for side in ["left", "right"] {
-        let board = std::fs::read(place.join(format!("pictures/board/{side}/03.png"))).unwrap();
+        let board = Path::new(session).with_file_name("board").join(side).join("03.png");
+        let board = std::fs::read(board).unwrap();
         let own = place.join(format!("pictures/{side}/00001.png"));
         table = table.replace(&sha256_hex(&std::fs::read(&own).unwrap()), &sha256_hex(&board));
         std::fs::write(&own, board).unwrap();

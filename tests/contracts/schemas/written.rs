@@ -137,10 +137,8 @@ fn pictured(place: &Place<'_>) -> Vec<Written> {
     );
     let cameras = "--cameras cameras/stereo.json --rig fixtures/stereo_bench/rig.toml";
     place.run(&format!("stereo-shape {SCENE}/left {SCENE}/right {cameras} --out shapes"), &[0, 3]);
-    place.run(
-        "simulate --object ball --object can --object vase --object cone --sweeps 3 --out sweeps",
-        &[0],
-    );
+    place
+        .run("simulate --object ball --object can --object vase --object cone --sweeps 3 --out sweeps", &[0]);
     place.run("train sweeps --held-out 1 --unseen 1 --epochs 1 --preset compact --out model", &[0]);
     place.run(
         "evaluate sweeps --model model --simulation-only --objects 1 --sweeps-each 1 --out evaluation",

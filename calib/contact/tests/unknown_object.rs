@@ -9,7 +9,7 @@ use nalgebra::{Matrix2, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-use wcal_contact::estimator::Estimator;
+use wcal_contact::estimator::{Contact, Estimator};
 use wcal_contact::known_motion::{Episode, Friction, MomentField, MotionRow, Settings, estimate_contact};
 use wcal_contact::known_motion_stream::MotionAccuracy;
 use wcal_contact::known_motion_table::KnownMotionTable;
@@ -27,11 +27,11 @@ fn field() -> MomentField {
     MomentField::new(&rod, &MomentAxes::default(), Friction::NONE)
 }
 
-/// Displacement of the object (mm), its touched point (mm) where the wire is held, and the moments, reading by reading.
-type Press = Vec<(f64, Option<Vector3<f64>>, [f64; 2])>;
+/// Displacement of the object (mm), its touched point (mm) where the wire is held, and the moments (N mm).
+type Pressed = (f64, Option<Vector3<f64>>, [f64; 2]);
 
 /// A point pressed along z from 1 mm before the wire to 5 mm past it, that goes over the object by `creep` of the way.
-fn press(field: &MomentField, creep: f64, rng: &mut ChaCha8Rng) -> Press {
+fn press(field: &MomentField, creep: f64, rng: &mut ChaCha8Rng) -> Vec<Pressed> {
     let (s_mm, turn): (f64, f64) =
         (rng.random_range(16.0..50.0), rng.random_range(0.0..std::f64::consts::TAU));
     let touch = field.free(s_mm).0;
@@ -59,7 +59,7 @@ fn judged(off: Vector3<f64>, covariance_mm2: &nalgebra::Matrix3<f64>) -> (bool, 
 }
 
 /// By reading in contact what the table's estimator states, and of the last reading alone what it states where the point cannot creep.
-fn states(field: &MomentField, press: &Press) -> (Vec<(bool, f64)>, bool) {
+fn states(field: &MomentField, press: &[Pressed]) -> (Vec<(bool, f64)>, bool) {
     let accuracy = MotionAccuracy { moved_sd_mm: 0.002, clock_sd_s: 0.0 };
     let mut table = KnownMotionTable::new(self::field(), &WhiskerSpec::nominal(), accuracy, false);
     for (k, (depth, _, moment_nmm)) in press.iter().enumerate() {
@@ -85,16 +85,13 @@ fn states(field: &MomentField, press: &Press) -> (Vec<(bool, f64)>, bool) {
         table.push(&reading).unwrap();
     }
     let found = table.finish().unwrap();
-    let one = |(contact, (_, held, _)): (
-        &wcal_contact::estimator::Contact,
-        &(f64, Option<Vector3<f64>>, [f64; 2]),
-    )| {
+    let one = |(contact, (_, held, _)): (&Contact, &Pressed)| {
         let (estimate, held) = contact.estimate.zip(*held)?;
         Some(judged(estimate.place_mm - held, &estimate.covariance_mm2))
     };
     let rows = found.iter().zip(press).filter_map(one).collect();
 
-    let row = |(k, (depth, _, moment_nmm)): (usize, &(f64, Option<Vector3<f64>>, [f64; 2]))| MotionRow {
+    let row = |(k, (depth, _, moment_nmm)): (usize, &Pressed)| MotionRow {
         t_s: 0.1 * k as f64,
         moment_nmm: *moment_nmm,
         noise_nmm2: covariance(),

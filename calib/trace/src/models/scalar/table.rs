@@ -96,7 +96,7 @@ fn extended(
         let Some(best) = best.filter(|_| test.p_catalogue < CATALOGUE_LEVEL) else { break };
         let law = system.catalogue()[best.term.effect].law(best.term.law);
         let mut terms = kept.fit.terms.clone();
-        terms.push(best.start(&left, &law));
+        terms.push(best.start(&left, law));
         match refitted(system, &terms, base)
             .filter(|h| h.physical(system) && system.first_not_identified(h).is_none())
         {

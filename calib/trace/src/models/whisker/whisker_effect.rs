@@ -24,6 +24,11 @@ pub enum Observers {
     Cameras,
 }
 
+/// Begins a sensor's memory under the effect's values.
+type BeginMemory = fn(&Values) -> Box<dyn Memory>;
+/// Columns of the readout from the sensed moments of a path's readings.
+type ReadoutColumns = fn(&Values, &WhiskerPath, &[[f64; 2]]) -> Vec<Vec<f64>>;
+
 /// An effect with where it acts.
 pub struct WhiskerEffect {
     /// Name and laws.
@@ -35,11 +40,11 @@ pub struct WhiskerEffect {
     /// Changes the mechanics of wire, root and groove.
     pub rod: fn(&Values, &mut RodParameters),
     /// What the gratings sense of moments that come one after the other; none where they sense them as they are.
-    pub memory: Option<fn(&Values) -> Box<dyn Memory>>,
+    pub memory: Option<BeginMemory>,
     /// Changes what pairs of pictures show: faults of the cameras' setup.
     pub pictures: fn(&Values, &mut [PairObservation]),
     /// Readout columns (one value a reading) whose coefficients are free in each channel, from the sensed moments, N mm.
-    pub columns: fn(&Values, &WhiskerPath, &[[f64; 2]]) -> Vec<Vec<f64>>,
+    pub columns: ReadoutColumns,
 }
 
 impl WhiskerEffect {

@@ -268,6 +268,30 @@ fn scaled(episode: &Episode, factor: f64) -> Episode {
     episode
 }
 
+/// Displacements count from the first loaded reading. Where it is gross and left out, they still do.
+#[test]
+fn a_first_reading_that_is_left_out_moves_no_contact() {
+    let case = drawn(3, Design::Rich);
+    let (field, settings) = (field(&case), Settings::default());
+    let mut steps = Vec::new();
+    for (mut episode, _) in episodes(&case) {
+        let along = |found: &EpisodeEstimate| found.places[0].place_mm.unwrap().dot(&episode.push.unwrap());
+        let own = along(&estimate_contact(&field, &episode, &settings).unwrap());
+        let loaded = |r: &MotionRow| {
+            !r.free && r.moment_nmm[0].hypot(r.moment_nmm[1]) > 4.0 * r.noise_nmm2.trace().sqrt()
+        };
+        let first = episode.rows.iter().position(loaded).unwrap();
+        let step = (episode.rows[first + 1].moved_mm - episode.rows[first].moved_mm).norm();
+        episode.rows[first].moment_nmm[0] += 1.5;
+        let found = estimate_contact(&field, &episode, &settings).unwrap();
+        if found.places[first].outlier {
+            let along = found.places[0].place_mm.unwrap().dot(&episode.push.unwrap());
+            steps.push((along - own) / step);
+        }
+    }
+    assert!(!steps.is_empty() && steps.iter().all(|s: &f64| s.abs() < 0.3), "in steps: {steps:?}");
+}
+
 #[test]
 fn motion_that_is_reversed_or_in_metres_is_doubted() {
     let case = drawn(3, Design::Rich);

@@ -184,7 +184,7 @@ pub fn estimate_contact(
     let found = match whole {
         Some(found) if consistent(&found) => Some(found),
         // The first loaded reading sets the onset: where it is gross, the others stand out instead (masking).
-        whole => without_first(field, path.push, &rows, settings).filter(consistent).or(whole),
+        whole => without_first(field, &path, &rows, settings).filter(consistent).or(whole),
     };
     let Some(found) = found else {
         return Ok(EpisodeEstimate::unexplained(episode));
@@ -201,14 +201,17 @@ pub fn estimate_contact(
 /// An episode without its first loaded reading, as an outlier; none where none may be.
 fn without_first(
     field: &MomentField,
-    push: Vector3<f64>,
+    path: &ContactPath<'_>,
     rows: &[MotionRow],
     settings: &Settings,
 ) -> Option<recursive::Finished> {
     let first = rows.iter().position(loaded).filter(|_| settings.gross_share > 0.0)?;
     let others = [&rows[..first], &rows[first + 1..]].concat();
-    let mut found = recursive::run(field, push, &others, settings)?;
+    let mut found = recursive::run(field, path.push, &others, settings)?;
     found.outliers.insert(first, true);
+    // Displacements of that posterior count from the next loaded reading.
+    let next = others.iter().find(|row| settings.is_loaded(row))?;
+    found.posterior.move_onset((next.moved_mm - rows[first].moved_mm).dot(&path.push));
     Some(found)
 }
 

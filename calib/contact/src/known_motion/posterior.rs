@@ -107,6 +107,11 @@ impl Posterior {
             * (-0.5 * off.dot(&(inverse * off))).exp()
     }
 
+    /// Counts displacements along the push from a reading `by_mm` earlier on the way.
+    pub(crate) fn move_onset(&mut self, by_mm: f64) {
+        self.nodes.iter_mut().for_each(|n| n.state.onset_mm += by_mm);
+    }
+
     /// Whether a state lies in the 95 % region of highest density.
     pub fn holds(&self, state: &State) -> bool {
         self.density(state) >= self.threshold
@@ -151,6 +156,7 @@ impl Posterior {
             let axes = Matrix3x2::from_columns(&[-path.push, across]);
             let turn = path.turned(row).matrix() * axes;
             let mut covariance = turn * n.covariance_mm2 * turn.transpose();
+            // The point has gone on by its share of the way, which the readings tell together with the onset.
             if let Some(creep) = &n.creep {
                 at += way * creep.mean;
                 let both = turn * creep.with_state * way.transpose();

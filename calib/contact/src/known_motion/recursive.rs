@@ -36,6 +36,7 @@ use super::posterior;
 use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings, TABLE_MM};
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use node::{NodeFilter, Reading};
+use std::borrow::Cow;
 
 /// First grid along the wire, mm.
 const SCAN_MM: f64 = 1.0;
@@ -199,7 +200,8 @@ impl RecursivePosterior {
             nodes: Vec::new(),
             readings: 1,
         };
-        let (first, lead) = (&own.with_creep(field, first), &own.all_with_creep(field, lead));
+        let first = &*own.with_creep(field, first);
+        let lead: Vec<Cow<'_, MotionRow>> = lead.iter().map(|row| own.with_creep(field, row)).collect();
         let lowest = lead.iter().map(|row| own.along_mm(field, row)).fold(0.0, f64::min);
         let at_first = own.reading(field, first, 0.0, 0.0);
         let length = field.length_mm() - settings.first_mm;
@@ -235,7 +237,7 @@ impl RecursivePosterior {
 
     /// Takes the next reading.
     pub fn push(&mut self, field: &MomentField, row: &MotionRow) {
-        let row = &self.with_creep(field, row);
+        let row = &*self.with_creep(field, row);
         let middle_mm = middle(field, &motion_since(&self.reference, row));
         let reading = self.reading(field, row, (middle_mm - self.middle_mm).norm(), row.t_s - self.last_s);
         let mut before: Vec<&NodeFilter> = self.nodes.iter().collect();
@@ -286,21 +288,19 @@ impl RecursivePosterior {
     }
 
     /// The reading with the two unknowns of a creeping contact, where it may creep.
-    fn with_creep(&self, field: &MomentField, row: &MotionRow) -> MotionRow {
-        let mut row = row.clone();
+    fn with_creep<'r>(&self, field: &MomentField, row: &'r MotionRow) -> Cow<'r, MotionRow> {
         let creep_sd = self.settings.creep_sd;
-        if creep_sd > 0.0 {
-            let motion = motion_since(&self.reference, &row);
-            let moved_mm = middle(field, &motion) - middle(field, &(Rotation3::identity(), Vector3::zeros()));
-            row.shared_displacement_mm.resize(row.shared_nmm.len(), Vector3::zeros());
-            row.shared_displacement_mm.extend(creep_mm(&self.push, &motion.0, &moved_mm, creep_sd));
-            row.shared_nmm.extend([[0.0; 2]; 2]);
+        if creep_sd <= 0.0 {
+            return Cow::Borrowed(row);
         }
-        row
-    }
-
-    fn all_with_creep(&self, field: &MomentField, rows: &[MotionRow]) -> Vec<MotionRow> {
-        rows.iter().map(|row| self.with_creep(field, row)).collect()
+        let motion = motion_since(&self.reference, row);
+        let moved_mm = middle(field, &motion) - middle(field, &(Rotation3::identity(), Vector3::zeros()));
+        // An error of the place that grows with the way, of the map that is none.
+        let mut row = row.clone();
+        row.shared_displacement_mm.resize(row.shared_nmm.len(), Vector3::zeros());
+        row.shared_displacement_mm.extend(creep_mm(&self.push, &motion.0, &moved_mm, creep_sd));
+        row.shared_nmm.extend([[0.0; 2]; 2]);
+        Cow::Owned(row)
     }
 
     /// Where the wire is held at a reading that was taken, and the posterior.

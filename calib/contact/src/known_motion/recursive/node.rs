@@ -344,7 +344,7 @@ impl NodeFilter {
         let share = reading.settings.gross_share;
         let creep = reading.creep().map(|(at, _)| at);
         for n in 1..=iterations {
-            // Innovation at the prior mean by the slope at the present one.
+            // Innovation at the prior mean by the slope at the present one; what moves the point (onset, gap, creep) acts on more than a line.
             let innovation = y - at.moment_nmm - &at.slope * &before
                 + at.slope.fixed_columns::<2>(0) * z.fixed_rows::<2>(0)
                 + creep

@@ -222,7 +222,7 @@ impl ContactDocument {
             predicted: s.predicted,
         };
         Self {
-            regions: found.posterior.as_ref().map(Posterior::regions).filter(|_| !slides),
+            regions: found.posterior.as_ref().map(Posterior::regions).filter(|_| !slides && !undecided),
             from_s: Some(from_s),
             to_s: Some(to_s),
             disagreement: fixed.disagreement.filter(|_| !slides),

@@ -53,9 +53,9 @@ fn covariance() -> Matrix2<f64> {
 }
 
 /// Whether the point lies in the stated 95 % ellipsoid, and the size of its standard deviation, mm.
-fn judged(off: Vector3<f64>, covariance_mm2: &nalgebra::Matrix3<f64>) -> (bool, f64) {
-    let inside = covariance_mm2.cholesky().is_some_and(|c| off.dot(&c.solve(&off)) <= CHI2_95);
-    (inside, covariance_mm2.trace().sqrt())
+fn inside(off: Vector3<f64>, covariance_mm2: &nalgebra::Matrix3<f64>) -> (bool, f64) {
+    let holds = covariance_mm2.cholesky().is_some_and(|c| off.dot(&c.solve(&off)) <= CHI2_95);
+    (holds, covariance_mm2.trace().sqrt())
 }
 
 /// By reading in contact what the table's estimator states, and of the last reading alone what it states where the point cannot creep.
@@ -87,7 +87,7 @@ fn states(field: &MomentField, press: &[Pressed]) -> (Vec<(bool, f64)>, bool) {
     let found = table.finish().unwrap();
     let one = |(contact, (_, held, _)): (&Contact, &Pressed)| {
         let (estimate, held) = contact.estimate.zip(*held)?;
-        Some(judged(estimate.place_mm - held, &estimate.covariance_mm2))
+        Some(inside(estimate.place_mm - held, &estimate.covariance_mm2))
     };
     let rows = found.iter().zip(press).filter_map(one).collect();
 
@@ -109,7 +109,7 @@ fn states(field: &MomentField, press: &[Pressed]) -> (Vec<(bool, f64)>, bool) {
     let stays = estimate_contact(field, &episode, &Settings::default()).unwrap();
     let last = &stays.places[press.len() - 1];
     let off = last.place_mm.zip(press[press.len() - 1].1).map(|(a, b)| a - b);
-    (rows, off.is_some_and(|off| judged(off, &last.covariance_mm2).0))
+    (rows, off.is_some_and(|off| inside(off, &last.covariance_mm2).0))
 }
 
 #[test]

@@ -120,18 +120,18 @@ mod tests {
     #[test]
     fn what_is_no_column_of_positions_is_named_with_the_way_out() {
         let error = |x: f64, way: f64| 0.02 * x - 1.7 * way;
-        let told = |measured: &dyn Fn(f64, f64) -> f64| {
+        let said = |measured: &dyn Fn(f64, f64) -> f64| {
             unit_mismatch("t.csv", &rows(measured)).unwrap_err().to_string()
         };
         for factor in [1.0, 1e-3, 1e-3 / 25.4] {
-            let told = told(&|x, way| factor * error(x, way));
-            assert!(told.contains("error_um="), "{factor}: {told}");
+            let said = said(&|x, way| factor * error(x, way));
+            assert!(said.contains("error_um="), "{factor}: {said}");
         }
         for (factor, says) in [(1e3, "COLUMN*0.001'"), (1.0 / 25.4, "COLUMN*25.4'"), (-1.0, "COLUMN*-1'")] {
-            let told = told(&|x, _| factor * x);
-            assert!(told.contains(says), "{factor}: {told}");
+            let said = said(&|x, _| factor * x);
+            assert!(said.contains(says), "{factor}: {said}");
         }
-        assert!(told(&|_, _| 3.2).contains("stands still"));
+        assert!(said(&|_, _| 3.2).contains("stands still"));
         // Positions, with a large scale error or one wrong target, are positions.
         assert!(unit_mismatch("t.csv", &rows(|x, way| x + 1e-3 * error(x, way))).is_ok());
         assert!(unit_mismatch("t.csv", &rows(|x, _| 1.4 * x)).is_ok());

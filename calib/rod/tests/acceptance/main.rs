@@ -10,37 +10,12 @@ mod rest_fit;
 mod stability;
 mod touch;
 
-use nalgebra::Vector3;
-use wcal_core::observation::{RestShape, WhiskerSpec};
+#[path = "../../../../tests/support/wires.rs"]
+mod wires;
+
 use wcal_rod::Rod;
-
-/// Length of the test wire, mm.
-const LENGTH_MM: f64 = 60.0;
-
-/// Wire of 0.3 mm and 60 mm; `rest_shape` and gravity as given.
-fn spec(rest_shape: RestShape) -> WhiskerSpec {
-    WhiskerSpec {
-        diameter_mm: 0.3,
-        youngs_gpa: 75.0,
-        shear_gpa: 28.2,
-        density_kg_m3: Some(6450.0),
-        rest_shape,
-        gravity_direction: Some(-Vector3::z()),
-    }
-}
-
-fn straight_shape() -> RestShape {
-    RestShape::StraightArc { straight_mm: LENGTH_MM, arc_radius_mm: 20.0, length_mm: LENGTH_MM }
-}
-
-fn bent_shape() -> RestShape {
-    RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: LENGTH_MM }
-}
+use wires::{LENGTH_MM, bent, bent_shape, spec, straight_shape};
 
 fn straight(step_mm: f64) -> Rod {
     Rod::new(&spec(straight_shape()), step_mm).unwrap()
-}
-
-fn bent(step_mm: f64) -> Rod {
-    Rod::new(&spec(bent_shape()), step_mm).unwrap()
 }

@@ -13,33 +13,7 @@ mod physics;
 mod rod_physics;
 mod sweeps;
 
-use nalgebra::Vector3;
-use wcal_core::observation::{RestShape, WhiskerSpec};
-use wcal_rod::Rod;
+#[path = "../../../../tests/support/wires.rs"]
+mod wires;
 
-/// Length of the test wire, mm.
-const LENGTH_MM: f64 = 60.0;
-
-/// Wire of 0.3 mm and 60 mm.
-fn spec(rest_shape: RestShape) -> WhiskerSpec {
-    WhiskerSpec {
-        diameter_mm: 0.3,
-        youngs_gpa: 75.0,
-        shear_gpa: 28.2,
-        density_kg_m3: Some(6450.0),
-        rest_shape,
-        gravity_direction: Some(-Vector3::z()),
-    }
-}
-
-fn straight_shape() -> RestShape {
-    RestShape::StraightArc { straight_mm: LENGTH_MM, arc_radius_mm: 20.0, length_mm: LENGTH_MM }
-}
-
-fn bent_shape() -> RestShape {
-    RestShape::StraightArc { straight_mm: 30.0, arc_radius_mm: 20.0, length_mm: LENGTH_MM }
-}
-
-fn bent(step_mm: f64) -> Rod {
-    Rod::new(&spec(bent_shape()), step_mm).unwrap()
-}
+use wires::{LENGTH_MM, bent, bent_shape, spec, straight_shape};

@@ -327,9 +327,10 @@ pub(super) fn factor(model: &PhysicalModel) -> (DMatrix<f64>, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::whisker::path::bare_row;
     use crate::whisker::physical::AcceptedEffect;
     use wcal_core::observation::{MomentAxes, Trajectory};
-    use wcal_core::{FbgSpec, Role, WhiskerRow};
+    use wcal_core::{FbgSpec, WhiskerRow};
 
     fn model(effects: Vec<AcceptedEffect>) -> PhysicalModel {
         let size = 6 + effects.iter().map(|e| e.values.len()).sum::<usize>();
@@ -386,27 +387,11 @@ mod tests {
     /// Ten readings of one stroke at 2 mm/s, up and down.
     fn strokes() -> WhiskerPath {
         let row = |k: usize| WhiskerRow {
-            source: String::new(),
-            line: k,
-            point: k as i64,
-            role: Role::Verification,
             trajectory: Some(1),
-            replicate: None,
-            t_s: Some(0.5 * k as f64),
             stage_mm: Some(if k < 5 { k as f64 } else { 9.0 - k as f64 }),
             direction: Some(if k < 5 { 1.0 } else { -1.0 }),
             speed_mm_s: Some(2.0),
-            dwell_s: None,
-            average_s: None,
-            groove_mm: None,
-            temperature_degc: None,
-            shift_pm: [10.0, 5.0],
-            reference_shift_pm: None,
-            shift_sd_pm: None,
-            samples: None,
-            seating: 0,
-            sealed: false,
-            pair: None,
+            ..bare_row(k, 0.5 * k as f64, [10.0, 5.0])
         };
         let rows: Vec<WhiskerRow> = (0..10).map(row).collect();
         let line = Trajectory {

@@ -362,6 +362,34 @@ fn nodes_of(readings: &[Reading], time: bool) -> Vec<Node> {
     nodes
 }
 
+/// A row that says nothing but its shifts.
+#[cfg(test)]
+pub(crate) fn bare_row(k: usize, t_s: f64, shift_pm: [f64; 2]) -> WhiskerRow {
+    WhiskerRow {
+        source: String::new(),
+        line: k,
+        point: k as i64,
+        role: Role::Verification,
+        trajectory: None,
+        replicate: None,
+        t_s: Some(t_s),
+        stage_mm: None,
+        direction: None,
+        speed_mm_s: None,
+        dwell_s: None,
+        average_s: None,
+        groove_mm: None,
+        temperature_degc: None,
+        shift_pm,
+        reference_shift_pm: None,
+        shift_sd_pm: None,
+        samples: None,
+        seating: 0,
+        sealed: false,
+        pair: None,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::{Reading, mark_unsteady, places};

@@ -167,6 +167,7 @@ impl PhysicalModel {
 
     /// Variances of a path's readings beside 1 of a typical reading of the calibration's own session.
     pub fn relative_variances(&self, readings: &[Reading]) -> Vec<f64> {
+        // Noise of samples falls with their number; what they share does not.
         let of = |r: &Reading| match (self.averaging, r.samples) {
             (Some(a), Some(n)) => (a.common + a.samples / f64::from(n.max(1))) / (a.common + 1.0),
             _ => 1.0,

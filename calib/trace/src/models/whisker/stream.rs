@@ -137,9 +137,10 @@ impl MomentStream for PhysicalStream {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::whisker::path::bare_row;
     use crate::whisker::physical::{AcceptedEffect, Inferred};
     use wcal_core::MomentAxes;
-    use wcal_core::{FbgSpec, Role, WhiskerRow};
+    use wcal_core::{FbgSpec, WhiskerRow};
 
     fn effect(id: &str, law: &str, values: &[f64]) -> AcceptedEffect {
         let (id, law) = (id.to_owned(), law.to_owned());
@@ -183,29 +184,7 @@ mod tests {
     }
 
     fn of_table(model: &PhysicalModel, shifts: &[(f64, [f64; 2])]) -> Vec<Inferred> {
-        let row = |(k, (t_s, shift_pm)): (usize, &(f64, [f64; 2]))| WhiskerRow {
-            source: String::new(),
-            line: k,
-            point: k as i64,
-            role: Role::Verification,
-            trajectory: None,
-            replicate: None,
-            t_s: Some(*t_s),
-            stage_mm: None,
-            direction: None,
-            speed_mm_s: None,
-            dwell_s: None,
-            average_s: None,
-            groove_mm: None,
-            temperature_degc: None,
-            shift_pm: *shift_pm,
-            reference_shift_pm: None,
-            shift_sd_pm: None,
-            samples: None,
-            seating: 0,
-            sealed: false,
-            pair: None,
-        };
+        let row = |(k, (t_s, shift_pm)): (usize, &(f64, [f64; 2]))| bare_row(k, *t_s, *shift_pm);
         let rows: Vec<WhiskerRow> = shifts.iter().enumerate().map(row).collect();
         let rows: Vec<&WhiskerRow> = rows.iter().collect();
         let path = WhiskerPath::new(&rows, &[], &MomentAxes::default(), &model.fbg, None, None);

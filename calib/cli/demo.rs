@@ -104,7 +104,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         let session = load(&folder)?;
         let sweep = r.sweep.map(|name| args.out.join(name).join("session"));
         let options = verify::searching(args.seed, Some(&progress));
-        let report = verify_session(&session, &mut results, options, None, sweep.as_deref())?;
+        let report = verify_session(session, &mut results, options, None, sweep.as_deref())?;
         results.finish()?;
         print_text(&report, &out);
         entries.push(IndexEntry::of(&report, format!("{}/report.html", r.name)));

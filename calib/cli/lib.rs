@@ -26,7 +26,6 @@ mod stereo_calibrate;
 mod stereo_shape;
 pub mod track;
 mod twin;
-mod unseal_record;
 pub mod verify;
 mod virtual_bench;
 

@@ -3,13 +3,13 @@
 use crate::output::{check_file, write_file};
 use crate::picture_output::provenance;
 use crate::simulated::{is_simulated, mark_table};
-use crate::unseal_record::UnsealRecord;
 use clap::Args;
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_calibration::{read_calibration, standing};
+use wcal_session::SessionLedger;
 
 /// Arguments of `wcal predict`.
 #[derive(Debug, Args)]
@@ -53,7 +53,7 @@ pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
         eprintln!("warning: {warning}");
     }
     // Whoever sees a sealed table has seen it.
-    if UnsealRecord::of_table(&args.table, &args.out, &provenance([args.table.as_path()]))? {
+    if SessionLedger::of_table(&args.table, &args.out, &provenance([args.table.as_path()]))? {
         eprintln!(
             "warning: {} is sealed; that it was opened is recorded in unsealed.json",
             args.table.display()

@@ -6,7 +6,7 @@ use wcal_report::{
     EvidenceRow, Fact, GateTest, NamedError, ReportInput, TwinMark, TwinTrajectory, model_after,
 };
 use wcal_session::LoadedSession;
-use wcal_trace::method::hypothesis::Evidence;
+use wcal_trace::method::hypothesis::RankedHypothesis;
 use wcal_trace::scalar::{Declared, ScalarData, ScalarVerification};
 use wcal_trace::whisker::WhiskerVerification;
 
@@ -33,7 +33,7 @@ pub fn of_document(session: &LoadedSession, document: VerifyDocument, provenance
 /// The report of a whisker session.
 pub fn of_whisker(
     session: &LoadedSession,
-    data: &WhiskerData,
+    (data, sealed): (&WhiskerData, usize),
     done: &WhiskerVerification,
     accepted_on_request: bool,
     provenance: Provenance,
@@ -61,7 +61,7 @@ pub fn of_whisker(
                     count(Role::Calibration),
                     count(Role::Verification),
                     count(Role::Rest),
-                    data.holdout.len()
+                    sealed
                 ),
             ),
         ],
@@ -82,11 +82,11 @@ pub fn of_whisker(
 /// The report of a transducer or axis session.
 pub fn of_scalar(
     session: &LoadedSession,
-    data: ScalarData<'_>,
+    (data, sealed): (ScalarData<'_>, usize),
     done: &ScalarVerification,
     provenance: Provenance,
 ) -> ReportInput {
-    let (rows, sealed) = (data.rows(), data.sealed());
+    let rows = data.rows();
     let after = model_after(&done.document, false);
     let (stimulus, response) = data.units();
     let model = match data.declared() {
@@ -102,7 +102,7 @@ pub fn of_scalar(
     let mut facts = vec![
         Fact::new("declared model", model),
         Fact::new("units", units),
-        Fact::new("readings", format!("{} fitted, {} held out", rows.len(), sealed.len())),
+        Fact::new("readings", format!("{} fitted, {} held out", rows.len(), sealed)),
     ];
     for (name, p) in [("declared model", &done.declared), (after, &done.accepted)] {
         if let Some(p) = p {
@@ -156,7 +156,7 @@ pub fn of_scalar(
 }
 
 /// Evidence with the laws in the words of the session's kind.
-fn evidence_of(data: ScalarData<'_>, found: &[Evidence]) -> Vec<EvidenceRow> {
+fn evidence_of(data: ScalarData<'_>, found: &[RankedHypothesis]) -> Vec<EvidenceRow> {
     let mut rows = evidence(found);
     if data.declared() == Declared::Axis {
         rows.iter_mut().for_each(|row| row.law = row.law.replace("stimulus", "position"));
@@ -183,8 +183,8 @@ fn gates(p_values: [[f64; 3]; 2], after: &str) -> Vec<GateTest> {
     ["declared model", after].into_iter().zip(p_values).flat_map(of_model).collect()
 }
 
-fn evidence(found: &[Evidence]) -> Vec<EvidenceRow> {
-    let row = |e: &Evidence| EvidenceRow {
+fn evidence(found: &[RankedHypothesis]) -> Vec<EvidenceRow> {
+    let row = |e: &RankedHypothesis| EvidenceRow {
         effects: e.effects.clone(),
         law: e.laws.join(" + "),
         chi2_gain: e.gain,

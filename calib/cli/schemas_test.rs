@@ -1,7 +1,7 @@
 //! The JSON documents that this program writes, by their types.
 
 use crate::json_reference::{hold, schema};
-use crate::{import, predict, reduce, stage_sweep, unseal_record, verify};
+use crate::{import, predict, reduce, stage_sweep, verify};
 use std::path::Path;
 use wcal_calibration::CalibrationModel;
 use wcal_core::map_document::MapDocument;
@@ -15,7 +15,7 @@ fn schemas_and_reference_are_made_from_the_types() {
         schema::<VerifyDocument>("verify", "verify.json"),
         schema::<wcal_core::CalibrationFile<CalibrationModel>>("calibration", "calibration.json"),
         schema::<MapDocument>("fit-gpr", "fit-gpr.json"),
-        schema::<unseal_record::UnsealedFile>("unsealed", "unsealed.json"),
+        schema::<wcal_session::LedgerFile>("unsealed", "unsealed.json"),
         schema::<wcal_acquisition::run_file::RunFile>("run", "run.json"),
         schema::<StereoDocument>("stereo", "stereo.json"),
         schema::<ShapesDocument>("shapes", "shapes.json"),

@@ -10,7 +10,6 @@ use crate::progress::Progress;
 use crate::report_input::{of_document, of_scalar, of_whisker};
 use crate::session_folder::expect_session;
 use crate::simulated::{is_simulated, mark_table};
-use crate::unseal_record::UnsealRecord;
 use anyhow::{Context, bail};
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -22,17 +21,18 @@ use wcal_calibration::{
 use wcal_contact::groove_comparison;
 use wcal_contact::session_groove;
 use wcal_contact::sweep_session::SweepSession;
-use wcal_contact::sweep_verify::verify_with_sweep;
 use wcal_contact::sweep_witness::SweepWitness;
 use wcal_core::files::folder_of;
-use wcal_core::verify_document::{CalibrationJudgement, GrooveTracking, Verdict, VerifyDocument};
-use wcal_core::{Provenance, Seal, SessionData, Unsealing, VerificationStatus, WhiskerData};
+use wcal_core::verify_document::{
+    CalibrationContact, CalibrationJudgement, GrooveTracking, HoldoutOutcome, Verdict, VerifyDocument,
+};
+use wcal_core::{Provenance, SealedRows, SessionData, VerificationStatus, WhiskerData};
 use wcal_report::ReportInput;
-use wcal_session::{LoadedSession, SessionError, add_session, attach_holdout, load};
+use wcal_session::{LoadedSession, SessionError, SessionLedger, add_session, attach_holdout, load};
 use wcal_trace::method::options::{Options, ProgressListener};
 use wcal_trace::scalar::{ScalarData, verify_scalar};
-use wcal_trace::verify::VerifyOptions;
-use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};
+use wcal_trace::verify::{VerifyRequest, Witness};
+use wcal_trace::whisker::{Verified, WhiskerSystem, WhiskerVerification, verify_whisker};
 
 /// Arguments of `wcal verify`.
 #[derive(Debug, Args)]
@@ -46,7 +46,7 @@ use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};
 
 Turn a plain table into a session first: wcal import TABLE.csv ... --out SESSION.
 
-Exit code 0: adequate, or an effect was found and added; 1: refused (verify.json says why), or an error; 3: as 0, but the session has warnings, or single sealed readings lie far outside the noise; 4: ambiguous, unknown-effect or twin-fault.")]
+Exit code 0: adequate, or an effect was found and added; 1: refused (verify.json says why), or an error; 3: as 0, but the session has warnings, or single sealed readings lie far outside the noise; 4: ambiguous, unknown-effect or twin-fault, or sealed readings that contradict the accepted model.")]
 pub struct VerifyArgs {
     /// Session folder
     pub session: PathBuf,
@@ -122,8 +122,8 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     }
     let given = args.calibration.as_deref().map(|path| GivenCalibration::read(path, &session)).transpose()?;
     let progress = Progress::new(&format!("verify {}", session.id));
-    let options = VerifyOptions { accept: args.accept.clone(), ..searching(args.seed, Some(&progress)) };
-    let done = verify_session(&session, &mut out, options, given.as_ref(), args.sweep.as_deref())?;
+    let request = VerifyRequest { accept: args.accept.clone(), ..searching(args.seed, Some(&progress)) };
+    let done = verify_session(session, &mut out, request, given.as_ref(), args.sweep.as_deref())?;
     out.finish()?;
     drop(progress);
     if args.json {
@@ -131,7 +131,7 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     } else {
         print_text(&done, &folder);
     }
-    Ok(exit_code(done.verify.verdict, doubtful || done.verify.after_trimmed.is_some()))
+    Ok(exit_code(&done.verify, doubtful))
 }
 
 /// `SESSION-verified`, beside the session.
@@ -173,11 +173,13 @@ fn refuse_unusable(args: &VerifyArgs, mut out: OutputFolder<'_>, why: SessionErr
     }
 }
 
-/// Exit code of a verdict; `doubtful` where the session was read with warnings, or sealed readings lie far outside the noise.
-pub fn exit_code(verdict: Verdict, doubtful: bool) -> ExitCode {
-    ExitCode::from(match verdict {
+/// Exit code of a result; `doubtful` where the session was read with warnings.
+pub fn exit_code(verify: &VerifyDocument, doubtful: bool) -> ExitCode {
+    let doubtful = doubtful || verify.after_trimmed.is_some();
+    ExitCode::from(match verify.verdict {
         Verdict::Refused => 1,
         Verdict::Ambiguous | Verdict::UnknownEffect | Verdict::TwinFault => 4,
+        _ if verify.holdout.outcome == HoldoutOutcome::Contradicted => 4,
         Verdict::Adequate | Verdict::Effect => u8::from(doubtful) * 3,
     })
 }
@@ -189,70 +191,74 @@ struct Outcome {
     predictions: Option<String>,
     /// What a calibration would hold.
     model: Option<CalibrationModel>,
-    /// Record of the unsealing; none where nothing was unsealed.
-    unsealing: Option<Unsealing>,
+    /// What it makes of a contact.
+    contact: Option<CalibrationContact>,
     /// How the given calibration does.
     judged: Option<CalibrationJudgement>,
 }
 
-/// Settings of a search that says how far it is.
-pub fn searching(seed: u64, progress: Option<&Progress>) -> VerifyOptions {
+/// A request to search that says how far it is.
+pub fn searching(seed: u64, progress: Option<&Progress>) -> VerifyRequest {
     let listener = |p: &Progress| {
         let reporter = p.reporter();
         ProgressListener::new(move |stage, done| reporter.at(stage, done))
     };
     let progress = progress.map(listener).unwrap_or_default();
-    VerifyOptions { search: Options { seed, progress, ..Options::default() }, ..VerifyOptions::default() }
+    VerifyRequest { search: Options { seed, progress, ..Options::default() }, ..VerifyRequest::default() }
 }
 
 /// Runs the loop and gathers every result; shared with `demo`. `given`: a calibration to be judged; `sweep`: folder of a sweep that judges the
 /// explanations.
 pub fn verify_session(
-    session: &LoadedSession,
+    mut session: LoadedSession,
     out: &mut OutputFolder<'_>,
-    options: VerifyOptions,
+    request: VerifyRequest,
     given: Option<&GivenCalibration>,
     sweep: Option<&Path>,
 ) -> anyhow::Result<ReportInput> {
-    let provenance = provenance(session, options.search.seed);
-    let record = UnsealRecord::read(session, out.folder())?;
-    let ledger = record.ledger(&provenance);
-    let options = VerifyOptions { seal: Seal { ledger, ..record.seal(session, &provenance) }, ..options };
-    let Outcome { mut report, predictions, model, unsealing, judged } = match &session.data {
+    let provenance = provenance(&session, request.search.seed);
+    let ledger = SessionLedger::new(&session, out.folder(), &provenance).ledger();
+    let claims = given.iter().map(|g| g.content_sha256().to_owned()).collect();
+    let request = VerifyRequest { ledger, claims, ..request };
+    let sealed = std::mem::take(&mut session.sealed);
+    let (session, made) = (&session, provenance.clone());
+    let Outcome { mut report, predictions, model, contact, judged } = match &session.data {
         SessionData::Whisker(data) => {
-            let witness = sweep.map(|folder| witness(folder, data)).transpose()?;
-            of_whisker_session(session, data, &options, (given, witness.as_ref()), provenance.clone())?
+            let sweep = sweep.map(|folder| witness(folder, data)).transpose()?;
+            let witnesses: Vec<&dyn Witness<WhiskerSystem>> = sweep.iter().map(|s| s as _).collect();
+            of_whisker_session(session, data, sealed, &request, (given, &witnesses), made)?
         }
         _ if sweep.is_some() => {
             bail!("--sweep: expected a session of kind whisker, found {:?}", session.data.kind())
         }
         SessionData::Transducer(data) => {
-            of_scalar_session(session, ScalarData::Transducer(data), &options, given, provenance.clone())?
+            of_scalar_session(session, ScalarData::Transducer(data), sealed, &request, given, made)?
         }
         SessionData::Axis(data) => {
-            of_scalar_session(session, ScalarData::Axis(data), &options, given, provenance.clone())?
+            of_scalar_session(session, ScalarData::Axis(data), sealed, &request, given, made)?
         }
     };
-    add_notes(&mut report.verify, session, unsealing.is_some_and(|u| u.seen_before));
+    let later = report.verify.holdout.look > 1;
+    add_notes(&mut report.verify, session, later);
     report.verify.inputs = session.inputs.clone();
     report.verify.simulated = session.simulated;
     if let Some(csv) = predictions {
         out.put("predictions.csv", mark_table(&csv, session.simulated));
     }
     let verified = match report.verify.verdict {
+        _ if report.verify.holdout.outcome == HoldoutOutcome::Contradicted => false,
         Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
-        Verdict::Ambiguous => !options.accept.is_empty(),
+        Verdict::Ambiguous => !request.accept.is_empty(),
         _ => false,
     };
     if let Some(model) = model.filter(|_| verified) {
-        let contact = report.verify.groove_tracking.as_ref().and_then(groove_comparison::calibration_contact);
         let wire = match &session.data {
             SessionData::Whisker(data) => {
                 Some(WireParts { whisker: &data.whisker, moments: &data.moments, contact })
             }
             _ => None,
         };
-        let status = VerificationStatus::Verified;
+        let status = if later { VerificationStatus::Reverified } else { VerificationStatus::Verified };
         let file = seal(&session.id, status, Some(valid_until()?), model, provenance, wire)?;
         out.put("calibration.json", serde_json::to_vec_pretty(&file)?);
     }
@@ -270,35 +276,36 @@ pub fn verify_session(
 fn of_whisker_session(
     session: &LoadedSession,
     data: &WhiskerData,
-    options: &VerifyOptions,
-    (given, witness): (Option<&GivenCalibration>, Option<&SweepWitness>),
+    sealed: SealedRows,
+    request: &VerifyRequest,
+    (given, witnesses): (Option<&GivenCalibration>, &[&dyn Witness<WhiskerSystem>]),
     provenance: Provenance,
 ) -> anyhow::Result<Outcome> {
-    let verified = match witness {
-        Some(witness) => verify_with_sweep(&session.id, data, &session.inputs, options, witness)?,
-        None => verify_whisker(&session.id, data, &session.inputs, options)?,
+    let count = sealed.len();
+    let verified =
+        verify_whisker(&session.id, data, sealed.whisker(), &session.inputs, witnesses, request)?;
+    let done = match verified {
+        Verified::Refused(document) => {
+            let report = of_document(session, *document, provenance);
+            return Ok(Outcome { report, predictions: None, model: None, contact: None, judged: None });
+        }
+        Verified::Done(done) => done,
     };
-    Ok(match verified {
-        Verified::Refused(document) => Outcome {
-            report: of_document(session, *document, provenance),
-            predictions: None,
-            model: None,
-            unsealing: None,
-            judged: None,
-        },
-        Verified::Done(done) => Outcome {
-            unsealing: done.unsealing.clone(),
-            judged: given
-                .map(|g| g.judge(SessionSystem::Whisker(&done.whole), options.search.seed))
-                .transpose()?,
-            predictions: Some(predictions_csv(&done)?),
-            model: Some(CalibrationModel::Physical(done.model.clone())),
-            report: {
-                let mut report = of_whisker(session, data, &done, !options.accept.is_empty(), provenance);
-                report.verify.groove_tracking = groove_tracking(&done)?;
-                report
-            },
-        },
+    let on_request = !request.accept.is_empty();
+    let mut report = of_whisker(session, (data, count), &done, on_request, provenance);
+    // What the calibration says of contacts comes from the readings that it was fitted to; the sealed ones show whether it is true.
+    let own = groove_tracking(&done, &done.open, "fit")?;
+    let contact = own.as_ref().and_then(groove_comparison::calibration_contact);
+    report.verify.groove_tracking =
+        if count > 0 { groove_tracking(&done, &done.whole, "holdout")? } else { own };
+    Ok(Outcome {
+        judged: given
+            .map(|g| g.judge(SessionSystem::Whisker(&done.whole), request.search.seed))
+            .transpose()?,
+        predictions: Some(predictions_csv(&done)?),
+        model: Some(CalibrationModel::Physical(done.model.clone())),
+        contact,
+        report,
     })
 }
 
@@ -310,41 +317,45 @@ fn witness(folder: &Path, data: &WhiskerData) -> anyhow::Result<SweepWitness> {
     Ok(SweepWitness::new(sweep, (&data.whisker, &data.moments), poses)?)
 }
 
-/// The tracker on the groove, with the accepted calibration: on the sealed readings where there are any. None where the verdict accepts no
-/// calibration, or the stage's way is not recorded.
-fn groove_tracking(done: &WhiskerVerification) -> anyhow::Result<Option<GrooveTracking>> {
-    let whole = &done.whole;
-    let readings = 0..whole.path.readings.len();
-    let way_known = |i: usize| whole.path.readings[i].rest || whole.row(i).stage_mm.is_some();
+/// The tracker on the groove, with the accepted calibration, on the readings of `system`: all of them (`fit`), or those that were sealed (`holdout`).
+/// None where the verdict accepts no calibration, or the stage's way is not recorded.
+fn groove_tracking(
+    done: &WhiskerVerification,
+    system: &WhiskerSystem,
+    split: &str,
+) -> anyhow::Result<Option<GrooveTracking>> {
+    let readings = 0..system.path.readings.len();
+    let way_known = |i: usize| system.path.readings[i].rest || system.row(i).stage_mm.is_some();
     let accepted = matches!(done.document.verdict, Verdict::Adequate | Verdict::Effect | Verdict::TwinFault);
     if !accepted || !readings.clone().all(way_known) {
         return Ok(None);
     }
-    let Some(motion) = done.model.groove_motion(whole) else { return Ok(None) };
-    let [sealed, _] = whole.held_out();
-    let (any, split) = if sealed.contains(&true) { (true, "holdout") } else { (false, "fit") };
-    let tracked = session_groove::track(whole, motion, |i| sealed[i] == any)?;
-    let compared = tracked.compared(whole, |i| whole.row(i).groove_mm)?;
+    let Some(motion) = done.model.groove_motion(system) else { return Ok(None) };
+    let [sealed, _] = system.held_out();
+    let tracked = session_groove::track(system, motion, |i| sealed[i] == (split == "holdout"))?;
+    let compared = tracked.compared(system, |i| system.row(i).groove_mm)?;
     Ok(groove_comparison::groove_tracking(&compared, split))
 }
 
 fn of_scalar_session(
     session: &LoadedSession,
     data: ScalarData<'_>,
-    options: &VerifyOptions,
+    sealed: SealedRows,
+    request: &VerifyRequest,
     given: Option<&GivenCalibration>,
     provenance: Provenance,
 ) -> anyhow::Result<Outcome> {
-    let done = verify_scalar(&session.id, data, options)?;
+    let count = sealed.len();
+    let done = verify_scalar(&session.id, data, ScalarData::sealed(sealed), request)?;
     Ok(Outcome {
         predictions: (!done.residuals.is_empty()).then(|| scalar_csv(data, &done.residuals)),
-        unsealing: done.unsealing.clone(),
         judged: match (given, &done.whole) {
-            (Some(g), Some(whole)) => Some(g.judge(SessionSystem::Scalar(whole), options.search.seed)?),
+            (Some(g), Some(whole)) => Some(g.judge(SessionSystem::Scalar(whole), request.search.seed)?),
             _ => None,
         },
         model: done.model.clone().map(CalibrationModel::Scalar),
-        report: of_scalar(session, data, &done, provenance),
+        contact: None,
+        report: of_scalar(session, (data, count), &done, provenance),
     })
 }
 
@@ -353,7 +364,7 @@ fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool)
     if seen {
         document
             .notes
-            .push("This holdout was unsealed before: its error is no longer a first look.".to_owned());
+            .push("This holdout has met another decision before: its error is no longer that of a first look.".to_owned());
     }
 }
 

@@ -42,6 +42,11 @@ impl GivenCalibration {
         Ok(Self { path: path.display().to_string(), file, only_sealed })
     }
 
+    /// Hash of its content.
+    pub fn content_sha256(&self) -> &str {
+        &self.file.content_sha256
+    }
+
     fn refused(path: &str, detail: impl ToString) -> CalibrationError {
         CalibrationError::Content { place: format!("--calibration {path}"), detail: detail.to_string() }
     }

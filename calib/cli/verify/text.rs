@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use wcal_contact::groove_comparison::groove_sentence;
 use wcal_core::ResidualRecord;
+use wcal_core::verify_document::HoldoutOutcome;
 use wcal_report::ReportInput;
 use wcal_trace::scalar::ScalarData;
 use wcal_trace::whisker::WhiskerVerification;
@@ -114,6 +115,10 @@ pub fn print_text(report: &ReportInput, out: &Path) {
             );
         }
     }
+    if v.holdout.outcome != HoldoutOutcome::Absent {
+        let p = v.holdout.p.map_or_else(String::new, |p| format!(" (p = {p:.1e}, look {})", v.holdout.look));
+        println!("  {}{p}", v.holdout.why);
+    }
     let n = &v.noise_floor;
     for (floor, unit) in [(n.wavelength_pm, "pm"), (n.response, unit), (n.error_um, "um")] {
         if let Some(floor) = floor {
@@ -129,20 +134,10 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     if let Some(tracked) = &v.groove_tracking {
         println!("  {}", groove_sentence(tracked));
     }
-    if let Some(sweep) = &v.sweep {
-        println!(
-            "  sweep {}: distance of the nearest possible contact from the object, {} readings",
-            sweep.session, sweep.samples
-        );
-        for e in &sweep.explanations {
-            let name =
-                if e.effects.is_empty() { "declared model".to_owned() } else { e.effects.join(" with ") };
-            let (d, refuted) = (&e.distance, if e.refuted { "REFUTED" } else { "" });
-            println!(
-                "    {name:<44} median {:.2} mm, rms {:.2} mm, p = {:.1e} {refuted}",
-                d.distance_median_mm, d.distance_rmse_mm, e.p_value
-            );
-        }
+    for t in &v.tests {
+        let name = if t.effects.is_empty() { "declared model".to_owned() } else { t.effects.join(" with ") };
+        let refuted = if t.refuted { " REFUTED" } else { "" };
+        println!("  {}: {name:<44} {:.2} {}, p = {:.1e}{refuted}", t.witness, t.magnitude, t.unit, t.p);
     }
     if let Some(c) = &v.calibration {
         let verdict = if c.holds { "holds" } else { "does NOT hold" };

@@ -33,7 +33,6 @@ pub mod stream_motion;
 pub mod stream_track;
 mod sweep_record;
 pub mod sweep_session;
-pub mod sweep_verify;
 pub mod sweep_witness;
 pub mod table_source;
 pub mod track_document;

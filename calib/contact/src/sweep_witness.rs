@@ -29,9 +29,14 @@ use std::sync::OnceLock;
 use wcal_calibration::WhiskerCalibration;
 use wcal_core::WireFrame;
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
-use wcal_core::verify_document::SurfaceDistance;
+use wcal_core::median::median;
+use wcal_core::verify_document::WitnessTest;
 use wcal_rod::Shape;
 use wcal_sim::Mesh;
+use wcal_trace::TraceError;
+use wcal_trace::method::hypothesis::Hypothesis;
+use wcal_trace::verify::Witness;
+use wcal_trace::whisker::{PhysicalModel, WhiskerSystem};
 use wcal_track::{InverseGrid, InverseSolution, StaticInverse};
 
 /// Below this p-value an explanation is refuted.
@@ -71,24 +76,6 @@ pub struct SweepWitness {
     inverse: OnceLock<(f64, StaticInverse)>,
 }
 
-/// What a sweep says of one calibration.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SweepVerdict {
-    /// Readings that judge.
-    pub samples: usize,
-    /// Their distances.
-    pub distance: SurfaceDistance,
-    /// Probability of gaps as unlikely where the calibration is right within its uncertainty.
-    pub p_value: f64,
-}
-
-impl SweepVerdict {
-    /// Whether the sweep refutes the calibration.
-    pub fn refuted(&self) -> bool {
-        self.p_value < REFUTED_LEVEL
-    }
-}
-
 /// A reading in contact: gap, its derivative by the moments, and the outward normal of the surface in the world.
 struct Gap {
     d_mm: f64,
@@ -125,15 +112,15 @@ impl SweepWitness {
         Ok(Self { id, mesh, world_from_object, frame, whisker, poses, session, inverse })
     }
 
-    /// Judges a calibration.
+    /// Whether the contacts that the moments of a calibration allow lie on the object; none where its uncertainty rules in no direction.
     ///
     /// # Errors
     /// Where the sweep's table cannot be read by it, starts in contact, or never touches.
-    pub fn judge(
+    pub fn consistency_test(
         &self,
         calibration: &dyn WhiskerCalibration,
         declared: &WhiskerSpec,
-    ) -> Result<SweepVerdict, ContactError> {
+    ) -> Result<Option<WitnessTest>, ContactError> {
         let record = SweepRecord::new(&self.session, calibration, (declared, &self.frame))?;
         let place = || self.session.points.display().to_string();
         let rows = record.rows();
@@ -183,11 +170,24 @@ impl SweepWitness {
         let off_zero = |r: &SweepRow| zero.shared_nmm.iter().zip(&r.shared_nmm).map(|(z, h)| h - z).collect();
         let known: Vec<Vec<Vector2<f64>>> = touching.iter().map(|r| off_zero(r)).collect();
         let covariance = self.covariance(&touching, &moments, &gaps, &known, (zero_nmm2, spacing_nmm));
-        Ok(SweepVerdict {
-            distance: distance(&gaps),
-            samples: gaps.len(),
-            p_value: p_value(&gaps, covariance),
-        })
+        let Some((statistic, dof, p)) = chi_squared(&gaps, covariance) else { return Ok(None) };
+        let median_mm = median(gaps.iter().map(|g| g.d_mm.abs())).unwrap_or(f64::NAN);
+        Ok(Some(WitnessTest {
+            witness: "sweep".to_owned(),
+            effects: Vec::new(),
+            statistic,
+            dof,
+            p,
+            refuted: p < REFUTED_LEVEL,
+            magnitude: median_mm,
+            unit: "mm".to_owned(),
+            sentence: format!(
+                "The sweep {} refutes the accepted model: the contacts that its moments allow lie {median_mm:.2} mm from the object in the median \
+                 of {} readings (p = {p:.1e}).",
+                self.id,
+                gaps.len()
+            ),
+        }))
     }
 
     /// The table of the wire, for moments up to the largest of the first verdict with a margin.
@@ -302,31 +302,28 @@ impl SweepWitness {
     }
 }
 
-/// Probability of gaps as unlikely under their covariance, in the directions in which the calibration rules; 1 without any.
-fn p_value(gaps: &[Gap], covariance: DMatrix<f64>) -> f64 {
+impl Witness<WhiskerSystem> for SweepWitness {
+    fn test(&self, model: &WhiskerSystem, h: &Hypothesis) -> Result<Option<WitnessTest>, TraceError> {
+        let sd_pm = h.fit.readings_variance().sqrt() * model.noise_factor();
+        let calibration = PhysicalModel::new(model, h, sd_pm);
+        let test = self.consistency_test(&calibration, &model.data.whisker);
+        test.map_err(|e| TraceError::Witness(e.to_string()))
+    }
+}
+
+/// Sum of squares of the gaps under their covariance in the directions in which the calibration rules, their number, and the chance of as much; none
+/// without any.
+fn chi_squared(gaps: &[Gap], covariance: DMatrix<f64>) -> Option<(f64, f64, f64)> {
     let d = DVector::from_iterator(gaps.len(), gaps.iter().map(|g| g.d_mm));
     let eigen = covariance.symmetric_eigen();
     let ruled = (0..d.len()).filter(|j| eigen.eigenvalues[*j] > 2.0 * CONTACT_SD_MM.powi(2));
     let squares: Vec<f64> =
         ruled.map(|j| eigen.eigenvectors.column(j).dot(&d).powi(2) / eigen.eigenvalues[j]).collect();
-    ChiSquared::new(squares.len() as f64).map_or(1.0, |chi2| chi2.sf(squares.iter().sum()))
+    let (statistic, dof) = (squares.iter().sum(), squares.len() as f64);
+    ChiSquared::new(dof).ok().map(|chi2| (statistic, dof, chi2.sf(statistic)))
 }
 
 /// Root of a covariance; zero where it is none.
 fn root2(nmm2: &Matrix2<f64>) -> Matrix2<f64> {
     nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l())
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
-}
-
-fn distance(gaps: &[Gap]) -> SurfaceDistance {
-    let n = gaps.len() as f64;
-    SurfaceDistance {
-        distance_rmse_mm: (gaps.iter().map(|g| g.d_mm * g.d_mm).sum::<f64>() / n).sqrt(),
-        distance_mean_mm: gaps.iter().map(|g| g.d_mm.abs()).sum::<f64>() / n,
-        distance_median_mm: median(gaps.iter().map(|g| g.d_mm.abs()).collect()),
-    }
 }

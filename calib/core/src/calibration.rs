@@ -18,6 +18,8 @@ pub enum VerificationStatus {
     Unverified,
     /// `verify` found it adequate, or accepted the effects that it carries.
     Verified,
+    /// The same, on sealed readings that another decision had met before: its level was a part of that of a first look.
+    Reverified,
     /// `verify` found it not good enough.
     Failed,
 }

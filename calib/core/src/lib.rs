@@ -38,5 +38,5 @@ pub use observation::{
 };
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;
-pub use sealed::{Labelled, Ledger, RowLabel, Seal, Sealed, Unsealing};
+pub use sealed::{Decide, Labelled, Ledger, Look, Opened, Opening, RowLabel, Sealed, SealedRows};
 pub use wire_frame::WireFrame;

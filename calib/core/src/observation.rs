@@ -1,7 +1,7 @@
 //! What a session holds once it has been read and checked: plain data, no files.
 
 use crate::ranges::{self, OutOfRange, Range};
-use crate::sealed::{Labelled, RowLabel, Sealed};
+use crate::sealed::{Labelled, RowLabel};
 use crate::shapes_document::{PairDocument, SharedParameter};
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -376,8 +376,6 @@ pub struct WhiskerData {
     pub trajectories: Vec<Trajectory>,
     /// Rows of the points table, in file order.
     pub rows: Vec<WhiskerRow>,
-    /// Rows of the sealed holdout table; empty when there is none.
-    pub holdout: Sealed<WhiskerRow>,
     /// Labels of an outside twin; empty when there are none.
     pub twin: Vec<TwinLabel>,
     /// What the shapes of all pairs share, and which pairs stand aside; none where the session names no shapes.
@@ -465,8 +463,6 @@ pub struct TransducerData {
     pub covariates: Vec<String>,
     /// Rows in file order.
     pub rows: Vec<TransducerRow>,
-    /// Sealed rows.
-    pub holdout: Sealed<TransducerRow>,
 }
 
 /// One reading of an axis session.
@@ -499,8 +495,6 @@ pub struct AxisRow {
 pub struct AxisData {
     /// Rows in file order.
     pub rows: Vec<AxisRow>,
-    /// Sealed rows.
-    pub holdout: Sealed<AxisRow>,
 }
 
 /// Data of any kind of session.
@@ -529,7 +523,13 @@ impl SessionData {
 
 impl Labelled for WhiskerRow {
     fn label(&self) -> RowLabel {
-        RowLabel { point: self.point, trajectory: self.trajectory, seating: self.seating, t_s: self.t_s }
+        RowLabel {
+            point: self.point,
+            trajectory: self.trajectory,
+            seating: self.seating,
+            t_s: self.t_s,
+            pictured: self.pair.is_some(),
+        }
     }
 }
 

@@ -1,17 +1,63 @@
-//! Readings that no fit may see, kept separate by type: they come out by [`Sealed::unseal`] alone, which leaves a record.
+//! Readings that no fit may see, kept separate by type: they come out by [`Sealed::unseal`] alone, once, against a decision that can no longer
+//! change.
+//!
+//! ```text
+//! look n of the same files has the level alpha / (n (n + 1)):     sum over n of 1 / (n (n + 1)) = 1
+//! ```
+//!
+//! K. K. G. Lan, D. L. DeMets, Biometrika 70 (1983), 659-663 (a level that is spent); C. Dwork et al., Science 349 (2015), 636-638 (why a second
+//! decision on the same holdout is dearer than the first).
 
-use crate::provenance::InputFile;
+use crate::observation::{AxisRow, TransducerRow, WhiskerRow};
+use crate::provenance::{canonical_json, sha256_hex};
 use std::fmt;
 use std::sync::Arc;
 
-/// Sealed rows. There is no way to their values but `unseal`: they are not written, not printed, and a check of admission gives no more than
-/// its answer.
+/// Sealed rows. There is no way to their values but [`Sealed::unseal`]: they are not copied, not written, not printed, and a check of admission
+/// gives no more than its answer. What works on them is a function, not a closure, so that nothing is carried out.
 ///
 /// ```compile_fail
 /// let sealed = wcal_core::Sealed::new(vec![1.0]);
 /// serde_json::to_string(&sealed).unwrap();
 /// ```
-#[derive(Clone, PartialEq)]
+///
+/// A seal is broken once: the rows and the decision go in by value.
+///
+/// ```compile_fail,E0382
+/// use wcal_core::{Decide, Ledger, Sealed};
+/// struct Fitted(f64);
+/// impl Decide for Fitted {
+///     fn content(&self) -> serde_json::Value { self.0.into() }
+/// }
+/// let sealed = Sealed::new(vec![1.0]);
+/// let first = sealed.unseal(Fitted(1.0), &Ledger::default());
+/// let second = sealed.unseal(Fitted(2.0), &Ledger::default());
+/// ```
+///
+/// What was decided cannot be changed by what came out.
+///
+/// ```compile_fail,E0594
+/// use wcal_core::{Decide, Ledger, Sealed};
+/// struct Fitted(f64);
+/// impl Decide for Fitted {
+///     fn content(&self) -> serde_json::Value { self.0.into() }
+/// }
+/// let opened = Sealed::new(vec![1.0]).unseal(Fitted(1.0), &Ledger::default()).unwrap();
+/// opened.assess(|decision, rows, _| decision.0 = rows[0]);
+/// ```
+///
+/// Control: the same with one look that only reads.
+///
+/// ```
+/// use wcal_core::{Decide, Ledger, Sealed};
+/// struct Fitted(f64);
+/// impl Decide for Fitted {
+///     fn content(&self) -> serde_json::Value { self.0.into() }
+/// }
+/// let opened = Sealed::new(vec![1.5]).unseal(Fitted(1.0), &Ledger::default()).unwrap();
+/// let (_, error) = opened.assess(|decision, rows, _| rows[0] - decision.0);
+/// assert_eq!(error, 0.5);
+/// ```
 pub struct Sealed<R> {
     rows: Vec<R>,
 }
@@ -33,6 +79,8 @@ pub struct RowLabel {
     pub seating: u32,
     /// Time, s.
     pub t_s: Option<f64>,
+    /// It has a pair of pictures.
+    pub pictured: bool,
 }
 
 /// A row that can be sealed.
@@ -47,29 +95,49 @@ impl<R> Default for Sealed<R> {
     }
 }
 
-/// What is known of the files behind the seal before it is broken.
-#[derive(Debug, Clone, Default)]
-pub struct Seal {
-    /// Files whose rows are sealed.
-    pub files: Vec<InputFile>,
-    /// Hashes of files that were unsealed before.
-    pub opened_before: Vec<String>,
-    /// Program that will break it.
-    pub program: String,
-    /// Where it is written that the seal is broken, before any row comes out.
-    pub ledger: Ledger,
+/// A decision that holds still: what is hashed is what is judged.
+pub trait Decide {
+    /// Everything that the sealed rows could have changed: terms, values, noise, rule of the flags, claims. Numbers are rounded to a hundredth of their
+    /// standard error, so that the same outcome by another seed or machine is the same decision.
+    fn content(&self) -> serde_json::Value;
 }
 
-type Write = dyn Fn(&Unsealing) -> Result<(), String> + Send + Sync;
+/// A decision that is about to meet the sealed rows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Opening<'a> {
+    /// Hash of the decision's content.
+    pub decision_sha256: &'a str,
+    /// Rows.
+    pub rows: usize,
+}
 
-/// Writes down for good that a seal is broken.
+/// The look at the sealed rows that a decision has.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Look {
+    /// Number of different decisions that these files have met, this one included.
+    pub number: usize,
+    /// Hash of the decision's content.
+    pub decision_sha256: String,
+}
+
+impl Look {
+    /// What of the level `alpha` this look may spend.
+    pub fn level(&self, alpha: f64) -> f64 {
+        let n = self.number.max(1) as f64;
+        alpha / (n * (n + 1.0))
+    }
+}
+
+type Record = dyn Fn(&Opening<'_>) -> Result<usize, String> + Send + Sync;
+
+/// Writes down for good that a decision meets sealed rows, before they come out, and counts the looks.
 #[derive(Clone, Default)]
-pub struct Ledger(Option<Arc<Write>>);
+pub struct Ledger(Option<Arc<Record>>);
 
 impl Ledger {
-    /// One that writes; its error keeps the rows sealed.
-    pub fn new(write: impl Fn(&Unsealing) -> Result<(), String> + Send + Sync + 'static) -> Self {
-        Self(Some(Arc::new(write)))
+    /// One that records each opening and gives its number; its error keeps the rows sealed.
+    pub fn new(record: impl Fn(&Opening<'_>) -> Result<usize, String> + Send + Sync + 'static) -> Self {
+        Self(Some(Arc::new(record)))
     }
 }
 
@@ -79,17 +147,20 @@ impl fmt::Debug for Ledger {
     }
 }
 
-/// Record of an unsealing.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Unsealing {
-    /// Files whose rows came out, by hash.
-    pub files: Vec<InputFile>,
-    /// One of them had been unsealed before: the error is not of the first use.
-    pub seen_before: bool,
-    /// By which program.
-    pub program: String,
-    /// Rows.
-    pub rows: usize,
+/// Rows that came out, and the decision that they judge.
+#[derive(Debug)]
+pub struct Opened<R, D> {
+    rows: Vec<R>,
+    decision: D,
+    look: Option<Look>,
+}
+
+impl<R, D> Opened<R, D> {
+    /// The one use of the rows: the decision is read, the rows are read, numbers come out. None of a look where nothing was sealed.
+    pub fn assess<A>(self, assess: impl FnOnce(&D, &[R], Option<&Look>) -> A) -> (D, A) {
+        let found = assess(&self.decision, &self.rows, self.look.as_ref());
+        (self.decision, found)
+    }
 }
 
 impl<R> Sealed<R> {
@@ -119,13 +190,13 @@ impl<R> Sealed<R> {
     }
 
     /// Changes names, frames or times, as joining sessions asks for; nothing comes out.
-    pub fn relabel(&mut self, change: impl FnMut(&mut R)) {
-        self.rows.iter_mut().for_each(change);
+    pub fn relabel<C: ?Sized>(&mut self, with: &C, change: fn(&mut R, &C)) {
+        self.rows.iter_mut().for_each(|row| change(row, with));
     }
 
     /// The same rows in another form, still sealed.
-    pub fn map<T>(&self, form: impl Fn(&R) -> T) -> Sealed<T> {
-        Sealed { rows: self.rows.iter().map(form).collect() }
+    pub fn convert<T>(self, form: fn(R) -> T) -> Sealed<T> {
+        Sealed { rows: self.rows.into_iter().map(form).collect() }
     }
 
     /// Who the rows are.
@@ -136,84 +207,121 @@ impl<R> Sealed<R> {
         self.rows.iter().map(Labelled::label).collect()
     }
 
-    /// For each row whether `is` holds: is it in the fitted table, too?
-    pub fn which(&self, is: impl Fn(&R) -> bool) -> Vec<bool> {
-        self.rows.iter().map(is).collect()
-    }
-
     /// Hands the rows to a check of admission, which decides whether the data can be used; only its refusal comes out, in a sentence.
-    pub fn refusal(&self, check: impl Fn(&[R]) -> Option<String>) -> Option<String> {
-        check(&self.rows)
+    pub fn refusal<C: ?Sized>(&self, with: &C, check: fn(&[R], &C) -> Option<String>) -> Option<String> {
+        check(&self.rows, with)
     }
 
-    /// Breaks the seal, once that is written down.
+    /// Breaks the seal for one decision, once that is written down.
     ///
     /// # Errors
     /// What the ledger says where it cannot be written: nothing comes out then.
-    pub fn unseal(&self, seal: &Seal) -> Result<(&[R], Unsealing), String> {
-        let seen_before = seal.files.iter().any(|f| seal.opened_before.contains(&f.sha256));
-        let record = Unsealing {
-            files: seal.files.clone(),
-            seen_before,
-            program: seal.program.clone(),
-            rows: self.rows.len(),
-        };
-        if let Some(write) = seal.ledger.0.as_ref().filter(|_| !self.is_empty()) {
-            write(&record)?;
+    pub fn unseal<D: Decide>(self, decision: D, ledger: &Ledger) -> Result<Opened<R, D>, String> {
+        if self.is_empty() {
+            return Ok(Opened { rows: self.rows, decision, look: None });
         }
-        Ok((&self.rows, record))
+        let decision_sha256 = sha256_hex(canonical_json(&decision.content()).as_bytes());
+        let opening = Opening { decision_sha256: &decision_sha256, rows: self.rows.len() };
+        let number = ledger.0.as_ref().map_or(Ok(1), |record| record(&opening))?;
+        Ok(Opened { rows: self.rows, decision, look: Some(Look { number, decision_sha256 }) })
+    }
+}
+
+/// Sealed rows of a session of any kind.
+#[derive(Debug)]
+pub enum SealedRows {
+    /// Of a whisker.
+    Whisker(Sealed<WhiskerRow>),
+    /// Of a transducer.
+    Transducer(Sealed<TransducerRow>),
+    /// Of an axis.
+    Axis(Sealed<AxisRow>),
+}
+
+impl Default for SealedRows {
+    fn default() -> Self {
+        Self::Whisker(Sealed::default())
+    }
+}
+
+impl SealedRows {
+    /// Those of a whisker; none of another kind of session.
+    pub fn whisker(self) -> Sealed<WhiskerRow> {
+        match self {
+            Self::Whisker(rows) => rows,
+            _ => Sealed::default(),
+        }
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Whisker(rows) => rows.len(),
+            Self::Transducer(rows) => rows.len(),
+            Self::Axis(rows) => rows.len(),
+        }
+    }
+
+    /// Whether nothing is sealed.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::Mutex;
 
-    #[test]
-    fn an_unsealing_says_what_came_out_and_whether_it_had_before() {
-        let file = |name: &str| InputFile {
-            path: name.to_owned(),
-            sha256: name.to_owned(),
-            purpose: crate::Purpose::Holdout,
-        };
-        let mut sealed = Sealed::new(vec![1, 2]);
-        sealed.join(Sealed::new(vec![3]));
-        let mut seal = Seal {
-            files: vec![file("a")],
-            opened_before: vec!["b".into()],
-            program: "p".into(),
-            ..Seal::default()
-        };
-        let (rows, first) = sealed.unseal(&seal).unwrap();
-        assert_eq!((rows, first.seen_before, first.rows), (&[1, 2, 3][..], false, 3));
-        seal.opened_before.push("a".into());
-        assert!(sealed.unseal(&seal).unwrap().1.seen_before);
+    /// A number that was decided on.
+    struct Value(f64);
+
+    impl Decide for Value {
+        fn content(&self) -> serde_json::Value {
+            self.0.into()
+        }
     }
 
     #[test]
     fn nothing_that_was_read_comes_out_of_a_seal() {
         let sealed = Sealed::new(vec![41.5, 42.5]);
         assert_eq!(format!("{sealed:?}"), "Sealed(2 rows)");
-        assert_eq!(sealed.which(|r| *r > 42.0), [false, true]);
-        assert_eq!(sealed.refusal(|rows| (rows.len() > 1).then(|| "two".to_owned())), Some("two".to_owned()));
+        let check: fn(&[f64], &f64) -> Option<String> =
+            |rows, least| rows.iter().all(|r| r > least).then(|| "two".to_owned());
+        assert_eq!(sealed.refusal(&41.0, check), Some("two".to_owned()));
         // Control: unsealed they are there.
-        assert_eq!(sealed.unseal(&Seal::default()).unwrap().0, [41.5, 42.5]);
+        let opened = sealed.unseal(Value(0.0), &Ledger::default()).unwrap();
+        assert_eq!(opened.assess(|_, rows, _| rows.to_vec()).1, [41.5, 42.5]);
+    }
+
+    #[test]
+    fn a_look_has_its_number_and_what_is_left_of_the_level() {
+        let known: Arc<Mutex<Vec<String>>> = Arc::default();
+        let written = Arc::clone(&known);
+        let ledger = Ledger::new(move |opening| {
+            let mut all = written.lock().unwrap();
+            let of = |all: &Vec<String>| all.iter().position(|d| d == opening.decision_sha256);
+            if of(&all).is_none() {
+                all.push(opening.decision_sha256.to_owned());
+            }
+            Ok(of(&all).unwrap() + 1)
+        });
+        let look = |value: f64| {
+            let opened = Sealed::new(vec![1.0]).unseal(Value(value), &ledger).unwrap();
+            opened.assess(|_, _, look| look.unwrap().clone()).1
+        };
+        let [first, second, again] = [look(1.0), look(2.0), look(1.0)];
+        assert_eq!((first.number, second.number, again.number), (1, 2, 1), "the same decision is the same look");
+        assert_eq!([first.level(0.6), second.level(0.6)], [0.6 / 2.0, 0.6 / 6.0]);
     }
 
     #[test]
     fn rows_come_out_after_the_ledger_is_written_and_not_without() {
-        let written = Arc::new(std::sync::Mutex::new(0));
-        let count = Arc::clone(&written);
-        let ledger = Ledger::new(move |u| {
-            *count.lock().unwrap() += u.rows;
-            Ok(())
-        });
-        let sealed = Sealed::new(vec![1.0]);
-        sealed.unseal(&Seal { ledger, ..Seal::default() }).unwrap();
-        assert_eq!(*written.lock().unwrap(), 1);
-        let full = Seal { ledger: Ledger::new(|_| Err("disk full".to_owned())), ..Seal::default() };
-        assert_eq!(sealed.unseal(&full), Err("disk full".to_owned()));
+        let full = Ledger::new(|_| Err("disk full".to_owned()));
+        let error = Sealed::new(vec![1.0]).unseal(Value(0.0), &full).map(|_| ()).unwrap_err();
+        assert_eq!(error, "disk full");
         // Control: what is empty was not opened.
-        assert!(Sealed::<f64>::default().unseal(&full).is_ok());
+        let nothing = Sealed::<f64>::default().unseal(Value(0.0), &full).unwrap();
+        assert!(nothing.assess(|_, _, look| look.is_none()).1);
     }
 }

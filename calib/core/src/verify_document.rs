@@ -1,9 +1,9 @@
-//! `verify.json` (format `wcal-verify/1`, docs/src/formats.md).
+//! `verify.json` (format `wcal-verify/2`, docs/src/formats.md).
 
 mod errors;
 mod findings;
 mod noise;
-mod sweep;
+mod witness;
 
 use crate::provenance::InputFile;
 use schemars::JsonSchema;
@@ -11,17 +11,17 @@ use serde::{Deserialize, Serialize};
 
 pub use errors::{
     CalibrationContact, CalibrationJudgement, ContactUncertainty, EffectAblation, GrooveTracking,
-    HeldOutError,
+    HeldOutError, HoldoutJudgement, HoldoutOutcome,
 };
 pub use findings::{
     Detectable, EffectParameter, NamedEffect, NextMeasurement, NextPose, SecondWitness, TwinCheck, TwinFault,
     UnknownEffect,
 };
 pub use noise::{CorrelatedNoise, FlaggedReading, NoiseDocument, NoiseFloor, NoiseLaw, NoisePart};
-pub use sweep::{SurfaceDistance, SweepExplanation, SweepJudgement};
+pub use witness::WitnessTest;
 
 /// Format tag of `verify.json`.
-pub const VERIFY_FORMAT: &str = "wcal-verify/1";
+pub const VERIFY_FORMAT: &str = "wcal-verify/2";
 
 /// What the residual loop concluded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
@@ -81,6 +81,9 @@ pub struct VerifyDocument {
     /// exit code is 3.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub after_trimmed: Option<HeldOutError>,
+    /// What the sealed readings say; it never changes the verdict. Where they contradict the accepted model, no calibration is written and the exit
+    /// code is 4.
+    pub holdout: HoldoutJudgement,
     /// Share of the stated 95 % intervals that hold the held-out value.
     #[schemars(range(min = 0, max = 1))]
     pub coverage95: Option<f64>,
@@ -103,10 +106,9 @@ pub struct VerifyDocument {
     /// Where the tracker by known motion puts the groove through the accepted calibration (whisker); absent where it was not tracked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub groove_tracking: Option<GrooveTracking>,
-    /// What a sweep over a known object says of the explanations (`--sweep`, whisker): how near the contacts that the moments allow come to
-    /// the object.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub sweep: Option<SweepJudgement>,
+    /// What further measurements of the instrument (a sweep over a known object, `--sweep`) say of each explanation; absent without any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tests: Vec<WitnessTest>,
     /// Which witness decided for the accepted effects, by the gain that each gives: `wavelengths`, `pictures` or `both`; absent without
     /// pictures or effects.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -52,14 +52,15 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
     let mut add = |severity, topic: &str, message: String| {
         list.push(Finding { severity, topic: topic.to_owned(), message });
     };
-    let (rows, sealed, columns) = match &session.data {
+    let sealed = session.sealed.len();
+    let (rows, columns) = match &session.data {
         SessionData::Whisker(data) => {
             let pose = |r: &WhiskerRow| {
                 let g = r.groove_mm.unwrap_or_default();
                 let [direction, speed] = [r.direction, r.speed_mm_s].map(|v| v.unwrap_or(0.0));
                 Seen::new(r.role, &[g.x, g.y, g.z, direction, speed])
             };
-            (data.rows.iter().map(pose).collect::<Vec<_>>(), data.holdout.len(), whisker_columns(data))
+            (data.rows.iter().map(pose).collect::<Vec<_>>(), whisker_columns(data))
         }
         SessionData::Transducer(data) => {
             let rows = &data.rows;
@@ -70,7 +71,7 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
                 ("temperature_degc", rows.iter().any(|r| r.temperature_degc.is_some()), "temperature"),
                 ("a further covariate", !data.covariates.is_empty(), "cross-axis"),
             ];
-            (rows.iter().map(pose).collect(), data.holdout.len(), columns)
+            (rows.iter().map(pose).collect(), columns)
         }
         SessionData::Axis(data) => {
             let rows = &data.rows;
@@ -81,7 +82,7 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
                 ("cycle", rows.iter().any(|r| r.cycle.is_some()), "changes from stroke to stroke"),
                 ("temperature_degc", rows.iter().any(|r| r.temperature_degc.is_some()), "temperature"),
             ];
-            (rows.iter().map(pose).collect(), data.holdout.len(), columns)
+            (rows.iter().map(pose).collect(), columns)
         }
     };
     let at_rest = rows.iter().filter(|r| r.role == Role::Rest).count();

@@ -6,8 +6,9 @@ use crate::warning::SessionWarning;
 use crate::whisker::{self, ColumnRequirement};
 use crate::{axis, transducer, whisker_checks};
 use std::path::Path;
+use wcal_core::files::folder_of;
 use wcal_core::observation::{PairLeftOut, Role, SessionShapes};
-use wcal_core::{InputFile, Labelled, Purpose, Sealed, SessionData, WhiskerData, WhiskerRow};
+use wcal_core::{InputFile, Labelled, Purpose, Sealed, SealedRows, SessionData, WhiskerData, WhiskerRow};
 
 const PM_PER_NM: f64 = 1000.0;
 
@@ -23,8 +24,13 @@ pub fn attach_holdout(session: &mut LoadedSession, path: &Path) -> Result<(), Se
     let before = session.inputs.len();
     if path.is_dir() || path.file_name().is_some_and(|n| n == "session.toml") {
         let other = load(path)?;
+        session.holdout_folders.push(other.folder.clone());
         attach_session(session, other, Purpose::Holdout)?;
     } else {
+        let folder = folder_of(path);
+        if folder.join("session.toml").is_file() && folder != session.folder {
+            session.holdout_folders.push(folder.to_owned());
+        }
         attach_table(session, path)?;
     }
     refuse_reuse(session, before)
@@ -47,25 +53,38 @@ pub fn add_session(session: &mut LoadedSession, folder: &Path) -> Result<(), Ses
 /// Pause between sessions, s: creep of the wire has died out.
 const PAUSE_S: f64 = 3600.0;
 
-fn place_after(data: &WhiskerData, added: &mut WhiskerData) {
-    let of = |d: &WhiskerData| -> Vec<(Option<f64>, u32)> {
-        let labels = d.rows.iter().map(Labelled::label).chain(d.holdout.labels());
+fn place_after((data, sealed): (&WhiskerData, &Sealed<WhiskerRow>), added: &mut Added) {
+    let of = |d: &WhiskerData, sealed: &Sealed<WhiskerRow>| -> Vec<(Option<f64>, u32)> {
+        let labels = d.rows.iter().map(Labelled::label).chain(sealed.labels());
         labels.map(|l| (l.t_s, l.seating)).collect()
     };
-    let (all, own) = (of(data), of(added));
+    let (all, own) = (of(data, sealed), of(&added.data, &added.sealed));
     let end_s = all.iter().filter_map(|r| r.0).fold(0.0, f64::max);
     let seating = 1 + all.iter().map(|r| r.1).max().unwrap_or(0);
     let shift_s = end_s + PAUSE_S - own.iter().filter_map(|r| r.0).fold(f64::INFINITY, f64::min).min(0.0);
-    every_row(added, |row| {
-        row.seating = seating;
+    added.every_row(&(seating, shift_s), |row, (seating, shift_s)| {
+        row.seating = *seating;
         row.t_s = row.t_s.map(|t| t + shift_s);
     });
 }
 
-/// Relabels every row of a session, the sealed ones behind their seal.
-fn every_row(data: &mut WhiskerData, mut change: impl FnMut(&mut WhiskerRow)) {
-    data.rows.iter_mut().for_each(&mut change);
-    data.holdout.relabel(change);
+/// Another whisker session that is taken over.
+struct Added {
+    data: WhiskerData,
+    sealed: Sealed<WhiskerRow>,
+}
+
+impl Added {
+    /// Relabels every row, the sealed ones behind their seal.
+    fn every_row<C>(&mut self, with: &C, change: fn(&mut WhiskerRow, &C)) {
+        self.data.rows.iter_mut().for_each(|row| change(row, with));
+        self.sealed.relabel(with, change);
+    }
+
+    /// Who the rows are.
+    fn labels(&self) -> impl Iterator<Item = wcal_core::RowLabel> {
+        self.data.rows.iter().map(Labelled::label).chain(self.sealed.labels())
+    }
 }
 
 /// The same bytes cannot be fitted and held out, nor fitted twice.
@@ -89,8 +108,11 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
         path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
     let name = if session.inputs.iter().any(|i| i.path == file) { path.display().to_string() } else { file };
     let (purpose, warnings) = (Purpose::Holdout, &mut session.warnings);
-    let input = match &mut session.data {
-        SessionData::Whisker(WhiskerData { whisker, fbg, trajectories, holdout, .. }) => {
+    let input = match (&mut session.data, &mut session.sealed) {
+        (
+            SessionData::Whisker(WhiskerData { whisker, fbg, trajectories, .. }),
+            SealedRows::Whisker(holdout),
+        ) => {
             let table = whisker::read_rows(path, &name, fbg, trajectories, ColumnRequirement::Session)?;
             whisker_checks::check_stage(&table.rows, trajectories, warnings)?;
             whisker_checks::check_reach(&table.rows, whisker_checks::length_mm(&whisker.rest_shape))?;
@@ -98,32 +120,33 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
             holdout.extend(table.rows.into_iter().map(|r| WhiskerRow { sealed: r.role != Role::Rest, ..r }));
             InputFile { purpose, ..table.input }
         }
-        SessionData::Transducer(data) => {
+        (SessionData::Transducer(data), SealedRows::Transducer(holdout)) => {
             let table = transducer::read_rows(path, &name, purpose, warnings)?;
             check_covariates(&name, &data.covariates, &table.covariates)?;
-            data.holdout.extend(table.rows);
+            holdout.extend(table.rows);
             table.input
         }
-        SessionData::Axis(data) => {
+        (SessionData::Axis(_), SealedRows::Axis(holdout)) => {
             let (rows, input) = axis::read_rows(path, &name, purpose, warnings)?;
-            data.holdout.extend(rows);
+            holdout.extend(rows);
             input
         }
+        _ => return Err(other_kind(&name).into()),
     };
     session.inputs.push(input);
     Ok(())
 }
 
 /// Pairs of another session count where the same cameras made them: then both share the same errors.
-fn merge_shapes(data: &mut WhiskerData, added: &mut WhiskerData, folder: &str) {
-    let Some(theirs) = added.shapes.take() else { return };
+fn merge_shapes(data: &mut WhiskerData, added: &mut Added, folder: &str) {
+    let Some(theirs) = added.data.shapes.take() else { return };
     let alike =
         |own: &SessionShapes| own.parameters == theirs.parameters && own.covariance == theirs.covariance;
     if data.shapes.as_ref().is_some_and(alike) {
         return;
     }
-    let mut dropped = 0;
-    every_row(added, |row| dropped += usize::from(row.pair.take().is_some()));
+    let dropped = added.labels().filter(|row| row.pictured).count();
+    added.every_row(&(), |row, ()| row.pair = None);
     if let Some(own) = data.shapes.as_mut().filter(|_| dropped > 0) {
         let why = format!("{dropped} pairs of that session were made with other cameras than this one's");
         own.left_out.push(PairLeftOut { name: folder.to_owned(), why });
@@ -140,46 +163,58 @@ fn attach_session(
     let differs = |what: &str| {
         InputError::new(&renamed("session.toml"), format!("the {what} of the session"), "another one")
     };
-    match (&mut session.data, other.data) {
-        (SessionData::Whisker(data), SessionData::Whisker(mut added)) => {
-            if data.whisker.rest_shape != added.whisker.rest_shape
-                || data.whisker.diameter_mm != added.whisker.diameter_mm
+    match (&mut session.data, &mut session.sealed, other.data, other.sealed) {
+        (
+            SessionData::Whisker(data),
+            SealedRows::Whisker(own),
+            SessionData::Whisker(theirs),
+            SealedRows::Whisker(sealed),
+        ) => {
+            if data.whisker.rest_shape != theirs.whisker.rest_shape
+                || data.whisker.diameter_mm != theirs.whisker.diameter_mm
             {
                 return Err(differs("wire").field("whisker").into());
             }
-            if data.moments != added.moments {
+            if data.moments != theirs.moments {
                 return Err(differs("moment axes and sign").field("moments").into());
             }
+            let mut added = Added { data: theirs, sealed };
             merge_trajectories(data, &mut added, &renamed("session.toml"), &mut session.warnings)?;
             merge_nominals(data, &mut added);
             merge_shapes(data, &mut added, &folder);
             if purpose == Purpose::Fit {
-                if !added.twin.is_empty() {
+                if !added.data.twin.is_empty() {
                     let text = "labels of its twin are not used";
                     session.warnings.push(SessionWarning::other(&folder, text));
                 }
-                place_after(data, &mut added);
+                place_after((data, own), &mut added);
             }
             // Of a session that is held out every row counts, whatever its role says.
             if purpose == Purpose::Holdout {
-                every_row(&mut added, |r| r.sealed = true);
+                added.every_row(&(), |r, ()| r.sealed = true);
             }
-            let own = (&mut data.rows, &mut data.holdout);
-            take_over(own, (added.rows, added.holdout), purpose, |row| row.source = renamed(&row.source));
+            let theirs = (added.data.rows, added.sealed);
+            take_over((&mut data.rows, own), theirs, purpose, &folder, |row| &mut row.source);
         }
-        (SessionData::Transducer(data), SessionData::Transducer(added)) => {
+        (
+            SessionData::Transducer(data),
+            SealedRows::Transducer(own),
+            SessionData::Transducer(added),
+            SealedRows::Transducer(sealed),
+        ) => {
             if (&data.stimulus_unit, &data.response_unit) != (&added.stimulus_unit, &added.response_unit) {
                 return Err(differs("units").field("transducer").into());
             }
             check_covariates(&renamed(&other.points_file), &data.covariates, &added.covariates)?;
-            let own = (&mut data.rows, &mut data.holdout);
-            take_over(own, (added.rows, added.holdout), purpose, |row| row.source = renamed(&row.source));
+            take_over((&mut data.rows, own), (added.rows, sealed), purpose, &folder, |row| &mut row.source);
         }
-        (SessionData::Axis(data), SessionData::Axis(added)) => {
-            let own = (&mut data.rows, &mut data.holdout);
-            take_over(own, (added.rows, added.holdout), purpose, |row| row.source = renamed(&row.source));
-        }
-        _ => return Err(differs("kind").field("kind").into()),
+        (
+            SessionData::Axis(data),
+            SealedRows::Axis(own),
+            SessionData::Axis(added),
+            SealedRows::Axis(sealed),
+        ) => take_over((&mut data.rows, own), (added.rows, sealed), purpose, &folder, |row| &mut row.source),
+        _ => return Err(other_kind(&renamed("session.toml")).into()),
     }
     // What is partly simulated is not measured.
     if session.simulated != other.simulated {
@@ -201,15 +236,26 @@ fn attach_session(
     Ok(())
 }
 
-/// Rows of another session: to the fit, or behind the seal; what was sealed there stays sealed.
+/// The two sessions are of different kinds.
+fn other_kind(file: &str) -> InputError {
+    InputError::new(file, "the kind of the session", "another one").field("kind")
+}
+
+/// Rows of another session in `folder`: to the fit, or behind the seal; what was sealed there stays sealed.
 fn take_over<R>(
     own: (&mut Vec<R>, &mut Sealed<R>),
     (mut rows, mut sealed): (Vec<R>, Sealed<R>),
     purpose: Purpose,
-    rename: impl Fn(&mut R),
+    folder: &str,
+    source: fn(&mut R) -> &mut String,
 ) {
-    rows.iter_mut().for_each(&rename);
-    sealed.relabel(rename);
+    fn rename<R>(row: &mut R, (folder, source): &(&str, fn(&mut R) -> &mut String)) {
+        let name = source(row);
+        *name = format!("{folder}/{name}");
+    }
+    let with = (folder, source);
+    rows.iter_mut().for_each(|row| rename(row, &with));
+    sealed.relabel(&with, rename);
     match purpose {
         Purpose::Fit => own.0.extend(rows),
         _ => own.1.extend(rows),
@@ -220,12 +266,12 @@ fn take_over<R>(
 /// Takes over the other session's trajectories; an id that means something else here is replaced by a free one.
 fn merge_trajectories(
     data: &mut WhiskerData,
-    added: &mut WhiskerData,
+    added: &mut Added,
     file: &str,
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<(), InputError> {
     const SAME: f64 = 1e-6;
-    for mut trajectory in std::mem::take(&mut added.trajectories) {
+    for mut trajectory in std::mem::take(&mut added.data.trajectories) {
         let same = |t: &wcal_core::Trajectory| {
             (t.origin_mm - trajectory.origin_mm).norm() < SAME
                 && (t.direction - trajectory.direction).norm() < SAME
@@ -236,8 +282,7 @@ fn merge_trajectories(
             Some(_) => {
                 let highest = data.trajectories.iter().map(|t| t.id).max().unwrap_or(0);
                 // Ids of rows that are still to be renamed must not be hit either.
-                let labels = added.rows.iter().map(Labelled::label).chain(added.holdout.labels());
-                let floor = labels.filter_map(|l| l.trajectory).max().unwrap_or(0);
+                let floor = added.labels().filter_map(|l| l.trajectory).max().unwrap_or(0);
                 let new = highest.max(floor).checked_add(1);
                 let new = new.ok_or_else(|| {
                     InputError::new(file, "a free trajectory id", "none").field("trajectory.id")
@@ -245,12 +290,11 @@ fn merge_trajectories(
                 let old = trajectory.id;
                 let text = format!("trajectory {old} is another path here and is called {new}");
                 warnings.push(SessionWarning::other(file, text));
-                let rename = |row: &mut WhiskerRow| {
-                    if row.trajectory == Some(old) {
-                        row.trajectory = Some(new);
+                added.every_row(&(old, new), |row, (old, new)| {
+                    if row.trajectory == Some(*old) {
+                        row.trajectory = Some(*new);
                     }
-                };
-                every_row(added, rename);
+                });
                 trajectory.id = new;
                 data.trajectories.push(trajectory);
             }
@@ -260,16 +304,17 @@ fn merge_trajectories(
 }
 
 /// Shifts count from this session's nominal wavelengths.
-fn merge_nominals(data: &WhiskerData, added: &mut WhiskerData) {
-    let sensing = match (data.fbg.nominal_nm, added.fbg.nominal_nm) {
+fn merge_nominals(data: &WhiskerData, added: &mut Added) {
+    let theirs = &added.data.fbg;
+    let sensing = match (data.fbg.nominal_nm, theirs.nominal_nm) {
         (Some(here), Some(there)) => [there[0] - here[0], there[1] - here[1]],
         _ => [0.0; 2],
     };
-    let reference = match (data.fbg.reference_nominal_nm, added.fbg.reference_nominal_nm) {
+    let reference = match (data.fbg.reference_nominal_nm, theirs.reference_nominal_nm) {
         (Some(here), Some(there)) => there - here,
         _ => 0.0,
     };
-    every_row(added, |row| {
+    added.every_row(&(sensing, reference), |row, (sensing, reference)| {
         row.shift_pm[0] += PM_PER_NM * sensing[0];
         row.shift_pm[1] += PM_PER_NM * sensing[1];
         row.reference_shift_pm = row.reference_shift_pm.map(|pm| pm + PM_PER_NM * reference);

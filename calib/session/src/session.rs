@@ -14,7 +14,7 @@ use wcal_core::files::{MAX_DOCUMENT_BYTES, read_within};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::text::brief;
 use wcal_core::{
-    AxisData, FbgSpec, InputFile, Purpose, Role, Sealed, SessionData, SessionKind, TransducerData,
+    AxisData, AxisRow, FbgSpec, InputFile, Purpose, Role, Sealed, SealedRows, SessionData, SessionKind, TransducerData, TransducerRow,
     WhiskerData, WhiskerRow, format, ranges,
 };
 
@@ -24,7 +24,7 @@ const NAME: &str = "session.toml";
 pub const SESSION_FORMAT: &str = "wcal-session/1";
 
 /// A session that was read and checked.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug)]
 pub struct LoadedSession {
     /// The folder.
     pub folder: PathBuf,
@@ -38,8 +38,12 @@ pub struct LoadedSession {
     pub kind: SessionKind,
     /// The data are simulated, not measured: `simulated = true` under `[provenance]`, of this session or of one joined with it.
     pub simulated: bool,
-    /// Checked data. Rows with the role "holdout" in the points table are moved to `holdout`, so nothing fits them by mistake.
+    /// Checked data, to be fitted.
     pub data: SessionData,
+    /// Rows of the holdout, those with the role "holdout" in the points table among them.
+    pub sealed: SealedRows,
+    /// Folders of other sessions whose rows are held out for this one.
+    pub holdout_folders: Vec<PathBuf>,
     /// Every file read, with its hash; paths relative to the folder.
     pub inputs: Vec<InputFile>,
     /// `session.toml` as written.
@@ -144,15 +148,18 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
     }
     let points_file = files.points.clone();
     let pictures = files.pictures.as_ref().map(|name| folder.join(name));
-    let data = match kind {
+    let (data, sealed) = match kind {
         SessionKind::Whisker => {
-            SessionData::Whisker(load_whisker(document, folder, &medium, &mut inputs, &mut warnings)?)
+            let (data, sealed) = load_whisker(document, folder, &medium, &mut inputs, &mut warnings)?;
+            (SessionData::Whisker(data), SealedRows::Whisker(sealed))
         }
         SessionKind::Transducer => {
-            SessionData::Transducer(load_transducer(document, folder, &mut inputs, &mut warnings)?)
+            let (data, sealed) = load_transducer(document, folder, &mut inputs, &mut warnings)?;
+            (SessionData::Transducer(data), SealedRows::Transducer(sealed))
         }
         SessionKind::Axis => {
-            SessionData::Axis(load_axis(folder, &document.files, &mut inputs, &mut warnings)?)
+            let (data, sealed) = load_axis(folder, &document.files, &mut inputs, &mut warnings)?;
+            (SessionData::Axis(data), SealedRows::Axis(sealed))
         }
     };
     let folder = folder.to_owned();
@@ -164,6 +171,8 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
         kind,
         simulated,
         data,
+        sealed,
+        holdout_folders: Vec::new(),
         inputs,
         meta,
         warnings,
@@ -231,7 +240,7 @@ fn load_whisker(
     medium: &str,
     inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<SessionWarning>,
-) -> Result<WhiskerData, SessionError> {
+) -> Result<(WhiskerData, Sealed<WhiskerRow>), SessionError> {
     let Document { id: session, files, whisker, moments, mut fbg, trajectory, provenance, .. } = document;
     let ProvenanceSection { cameras_sha256, shapes_rig_sha256: rig_sha256, .. } = provenance;
     let expected = Expected { session, cameras_sha256, rig_sha256 };
@@ -280,7 +289,7 @@ fn load_whisker(
     }
     let shapes = shapes.map(|(found, _)| found);
     // Where nothing was loaded there is nothing to predict but the zero.
-    holdout.relabel(|r| r.sealed = r.role != Role::Rest);
+    holdout.relabel(&(), |r, ()| r.sealed = r.role != Role::Rest);
     require_unsealed(&files.points, rows.len())?;
     let mut twin = Vec::new();
     if let Some(name) = &files.twin {
@@ -289,7 +298,7 @@ fn load_whisker(
         inputs.push(input);
     }
     let medium = medium.to_owned();
-    Ok(WhiskerData { whisker, moments, fbg, medium, trajectories, rows, holdout, twin, shapes })
+    Ok((WhiskerData { whisker, moments, fbg, medium, trajectories, rows, twin, shapes }, holdout))
 }
 
 fn load_transducer(
@@ -297,7 +306,7 @@ fn load_transducer(
     folder: &Path,
     inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<SessionWarning>,
-) -> Result<TransducerData, SessionError> {
+) -> Result<(TransducerData, Sealed<TransducerRow>), SessionError> {
     let Document { files, transducer, .. } = document;
     let TransducerSection { stimulus_unit, response_unit, model } =
         transducer.ok_or_else(|| no_section("transducer"))?;
@@ -318,7 +327,7 @@ fn load_transducer(
         holdout.extend(sealed.rows);
     }
     require_unsealed(&files.points, rows.len())?;
-    Ok(TransducerData { stimulus_unit, response_unit, model, covariates, rows, holdout })
+    Ok((TransducerData { stimulus_unit, response_unit, model, covariates, rows }, holdout))
 }
 
 /// Covariates of a holdout table must be those of the points table, in the same order.
@@ -340,7 +349,7 @@ fn load_axis(
     files: &Files,
     inputs: &mut Vec<InputFile>,
     warnings: &mut Vec<SessionWarning>,
-) -> Result<AxisData, SessionError> {
+) -> Result<(AxisData, Sealed<AxisRow>), SessionError> {
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
         let (rows, input) = axis::read_rows(&folder.join(name), name, purpose, warnings)?;
         inputs.push(input);
@@ -352,7 +361,7 @@ fn load_axis(
         holdout.extend(read(name, Purpose::Holdout)?);
     }
     require_unsealed(&files.points, rows.len())?;
-    Ok(AxisData { rows, holdout })
+    Ok((AxisData { rows }, holdout))
 }
 
 /// Takes the rows with the role "holdout" out of a points table.

@@ -16,6 +16,9 @@ pub enum TraceError {
     /// The declared model has no solution at the readings.
     #[error("fitting the declared model: expected a solution at every reading, found none")]
     NoSolution,
+    /// Another measurement of the instrument cannot be used.
+    #[error("{0}")]
+    Witness(String),
     /// It cannot be written down that the holdout is opened.
     #[error("opening the holdout: expected a record of it beside the session or the result, found {0}")]
     NoLedger(String),

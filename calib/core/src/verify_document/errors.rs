@@ -34,10 +34,44 @@ pub struct EffectAblation {
     /// Chance of that gain without the effect, adjusted for the whole catalogue.
     #[schemars(range(min = 0, max = 1))]
     pub p_value: f64,
-    /// Held-out error with it, in the unit of the first error of `after`; absent without a holdout.
-    pub held_out: Option<f64>,
-    /// Held-out error without it.
-    pub held_out_without: Option<f64>,
+    /// Error with it on open readings that are left out in turn, in the unit of the first error of `after`.
+    pub left_out: Option<f64>,
+    /// The same without it.
+    pub left_out_without: Option<f64>,
+}
+
+/// What the sealed readings say of what was decided without them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum HoldoutOutcome {
+    /// Nothing that counts was sealed.
+    #[default]
+    Absent,
+    /// They agree with the accepted model, and contradict the declared one where effects were accepted.
+    Confirmed,
+    /// They do not contradict the accepted model, and do not tell it from the declared one.
+    NotContradicted,
+    /// They contradict the accepted model: it gives no calibration.
+    Contradicted,
+}
+
+/// `holdout` of verify.json: one look at the sealed readings, after everything was decided. It never changes the verdict.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+pub struct HoldoutJudgement {
+    /// What they say.
+    pub outcome: HoldoutOutcome,
+    /// Chance of residuals as large where the accepted model is right (prediction F test); null where none was sealed, or the noise is not known.
+    #[schemars(range(min = 0, max = 1))]
+    pub p: Option<f64>,
+    /// Number of different decisions that these files have met, this one included; 0 where nothing was sealed.
+    pub look: usize,
+    /// Level that this look may spend, a part of 0.0002 that gets smaller with each look.
+    #[schemars(range(min = 0, max = 1))]
+    pub level: Option<f64>,
+    /// Hash of the decision: the same in `unsealed.json`.
+    pub decision_sha256: Option<String>,
+    /// In words.
+    pub why: String,
 }
 
 /// How an existing calibration does on readings that were not in its fit.

@@ -165,7 +165,8 @@ pub fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDocument {
         leave_one_effect_out: vec![],
         calibration: None,
         groove_tracking: None,
-        sweep: None,
+        holdout: HoldoutJudgement::default(),
+        tests: Vec::new(),
         witness: None,
         pictures: None,
     }

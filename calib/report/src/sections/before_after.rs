@@ -1,10 +1,12 @@
 //! Held-out errors and the noise floor: table and picture.
 
 use crate::input::{IndexEntry, MOMENT_NAMES, ReportInput};
-use crate::markup::{Table, TableCell};
+use crate::markup::{Table, TableCell, escape};
 use crate::number::{NOT_AVAILABLE, join_unit, number, percent, with_interval};
 use crate::plot::{Axis, Layer, Marker, Plot};
-use wcal_core::verify_document::{GrooveTracking, HeldOutError, NoiseFloor, SweepJudgement, VerifyDocument};
+use wcal_core::verify_document::{
+    GrooveTracking, HeldOutError, HoldoutJudgement, HoldoutOutcome, NoiseFloor, VerifyDocument, WitnessTest,
+};
 
 /// One column: an error and the floor that it is held against.
 struct Quantity {
@@ -159,8 +161,11 @@ pub(super) fn body(input: &ReportInput) -> String {
     if let Some(tracked) = &input.verify.groove_tracking {
         out += &groove(tracked);
     }
-    if let Some(judged) = &input.verify.sweep {
-        out += &sweep(judged);
+    if input.verify.holdout.outcome != HoldoutOutcome::Absent {
+        out += &holdout(&input.verify.holdout);
+    }
+    if !input.verify.tests.is_empty() {
+        out += &witnesses(&input.verify.tests);
     }
     let charts: String = quantities.iter().filter_map(|q| chart(q, &models)).collect();
     if !charts.is_empty() {
@@ -209,26 +214,35 @@ fn table(input: &ReportInput, models: &[Model<'_>], quantities: &[Quantity]) -> 
     table.html()
 }
 
-/// How near the contacts that each explanation allows come to the object of a sweep.
-fn sweep(judged: &SweepJudgement) -> String {
+/// What further measurements of the instrument say of each explanation.
+fn witnesses(tests: &[WitnessTest]) -> String {
     let mut table = Table::new(
-        &format!(
-            "The sweep {} judges: distance of the nearest possible contact from the object",
-            judged.session
-        ),
-        &["explanation", "#median (mm)", "#rms (mm)", "#p", "verdict"],
+        "Further measurements of the same instrument (of a sweep: median distance of the nearest possible contact from the object)",
+        &["witness", "explanation", "#size", "#chi-squared", "#degrees of freedom", "#p", "verdict"],
     );
-    for e in &judged.explanations {
-        let name = if e.effects.is_empty() { "declared model".into() } else { e.effects.join(" with ") };
+    for t in tests {
+        let name = if t.effects.is_empty() { "declared model".into() } else { t.effects.join(" with ") };
         table.row(vec![
+            TableCell::Text(t.witness.clone()),
             TableCell::Text(name),
-            TableCell::Number(format!("{:.2}", e.distance.distance_median_mm)),
-            TableCell::Number(format!("{:.2}", e.distance.distance_rmse_mm)),
-            TableCell::Number(format!("{:.1e}", e.p_value)),
-            TableCell::Text(if e.refuted { "refuted" } else { "stands" }.into()),
+            TableCell::Number(format!("{:.2} {}", t.magnitude, t.unit)),
+            TableCell::Number(format!("{:.1}", t.statistic)),
+            TableCell::Number(format!("{:.0}", t.dof)),
+            TableCell::Number(format!("{:.1e}", t.p)),
+            TableCell::Text(if t.refuted { "refuted" } else { "stands" }.into()),
         ]);
     }
     table.html()
+}
+
+/// What the sealed readings say of what was decided without them.
+fn holdout(judged: &HoldoutJudgement) -> String {
+    let p = judged.p.map_or_else(String::new, |p| format!(" (prediction F test, p = {p:.2e})"));
+    let later = match judged.look {
+        0 | 1 => String::new(),
+        n => format!(" It is look {n} at these files: its level is smaller than that of the first."),
+    };
+    format!("<p>{}{p}{later}</p>", escape(&judged.why))
 }
 
 fn split_words(split: &str) -> &str {

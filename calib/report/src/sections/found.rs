@@ -90,7 +90,7 @@ fn with_sign(p: &str) -> String {
 fn left_out(input: &ReportInput) -> String {
     let mut table = Table::new(
         "Each effect left out, the others refitted",
-        &["effect", "#misfit grows by", "#p", "#held-out error with", "#without"],
+        &["effect", "#misfit grows by", "#p", "#left-out error with", "#without"],
     );
     for e in &input.verify.leave_one_effect_out {
         let error = |e: Option<f64>| TableCell::Number(e.map_or_else(|| "-".to_owned(), number));
@@ -98,8 +98,8 @@ fn left_out(input: &ReportInput) -> String {
             TableCell::Text(e.id.clone()),
             TableCell::Number(format!("{} times", number(e.misfit_ratio))),
             TableCell::Number(p_value(e.p_value)),
-            error(e.held_out),
-            error(e.held_out_without),
+            error(e.left_out),
+            error(e.left_out_without),
         ]);
     }
     if table.is_empty() { String::new() } else { table.html() }

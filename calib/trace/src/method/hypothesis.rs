@@ -133,9 +133,33 @@ pub struct NotIdentified {
     pub why: String,
 }
 
+/// A gate at which a name falls.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Gate {
+    /// Its fit was still falling when the iterations ran out.
+    NotConverged,
+    /// The design of the experiment does not tell it from others.
+    Identifiability,
+    /// It lowers the error of readings that are left out by less than that gain scatters.
+    LeftOutError,
+    /// Another measurement of the instrument refutes it.
+    Witness,
+}
+
+/// A name that fell, at which gate and why.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rejection {
+    /// Effects of the explanation.
+    pub effects: Vec<String>,
+    /// Gate.
+    pub gate: Gate,
+    /// Why, in words; empty where the gate says it all.
+    pub why: String,
+}
+
 /// One line of the evidence table.
 #[derive(Debug, Clone)]
-pub struct Evidence {
+pub struct RankedHypothesis {
     /// Effects of the explanation.
     pub effects: Vec<String>,
     /// Law of each.
@@ -150,7 +174,7 @@ pub struct Evidence {
     pub p_value: f64,
 }
 
-impl Evidence {
+impl RankedHypothesis {
     /// The data do not reject it.
     pub fn survives(&self) -> bool {
         self.p_value >= AMBIGUITY_LEVEL
@@ -158,6 +182,7 @@ impl Evidence {
 }
 
 /// What the search found.
+#[derive(Clone)]
 pub struct SearchResult {
     /// The declared model.
     pub base: Hypothesis,
@@ -170,17 +195,13 @@ pub struct SearchResult {
     /// Explanations that the data do not reject, best first, the best included.
     pub survivors: Vec<Hypothesis>,
     /// Every explanation of the final size that was refitted.
-    pub evidence: Vec<Evidence>,
+    pub evidence: Vec<RankedHypothesis>,
     /// The same as hypotheses, best first.
     pub refitted: Vec<Hypothesis>,
-    /// Effects of explanations whose fit did not converge: none is accepted.
-    pub not_converged: Vec<Vec<String>>,
-    /// Effects that describe the readings better than what was named, and that the design does not identify.
-    pub not_identified: Vec<NotIdentified>,
+    /// What was never named or was taken back, and at which gate.
+    pub rejections: Vec<Rejection>,
     /// A generic driver explains more than the catalogue does.
     pub covariate_beats_catalogue: bool,
-    /// Effects that the fitted readings ask for, and that lower the left-out error by less than its uncertainty.
-    pub within_model_error: Vec<usize>,
 }
 
 impl SearchResult {
@@ -196,10 +217,5 @@ impl SearchResult {
     /// The explanation that predictions use: the best one, but for where a generic driver explains more than the catalogue does.
     pub fn accepted(&self) -> &Hypothesis {
         if self.covariate_beats_catalogue { &self.base } else { &self.best }
-    }
-
-    /// Something was found or is left: heavier tails would be a reason to look again.
-    pub fn is_inadequate(&self) -> bool {
-        self.left().is_some() || !self.best.fit.terms.is_empty() || !self.best.flagged.is_empty()
     }
 }

@@ -4,8 +4,7 @@ pub mod ambiguity;
 #[cfg(test)]
 mod columns_system_test;
 pub mod covariates;
-mod earned;
-pub mod explain;
+pub mod earned;
 pub mod fit;
 pub mod hypothesis;
 pub mod inference;
@@ -13,6 +12,7 @@ pub mod lack_of_fit;
 pub mod linear;
 pub mod min_p;
 pub mod noise;
+pub mod noise_estimator;
 pub mod omnibus;
 pub mod options;
 pub mod outliers;

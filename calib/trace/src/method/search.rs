@@ -1,14 +1,15 @@
-//! From a rejected omnibus test to explanations: screen, refit, add, compare. At most three effects, smallest set that passes the omnibus test first.
+//! From a rejected omnibus test to explanations: at most three effects, smallest set that passes the omnibus test first. One function a stage, in the
+//! order in which `verify` calls them for each size.
 
 use super::ambiguity::compared;
 use super::fit::{Fit, Weights, fit};
-use super::hypothesis::{AMBIGUITY_LEVEL, Evidence, Hypothesis, NotIdentified, SearchResult};
+use super::hypothesis::{AMBIGUITY_LEVEL, Gate, Hypothesis, NotIdentified, RankedHypothesis, Rejection, SearchResult};
 use super::inference::not_told;
 use super::min_p::f_test;
 use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
 use super::options::Options;
 use super::outliers::{initial_outliers, reject_outliers};
-use super::refine::{refine_level, refit, settle};
+use super::refine::{refine_level, refit as refit_starts, settle};
 use super::signature::{Signature, nuisance, signatures_of_catalogue};
 use super::subsets::best_subsets;
 use crate::effect::{EffectTerm, TermKey};
@@ -18,13 +19,235 @@ use std::collections::BTreeMap;
 
 /// Refits tried at each size.
 const REFITS: usize = 7;
+/// Explanations of a size that are gone on from.
+const PARENTS: usize = 3;
+
+/// A search under one noise: the best explanation of each size so far.
+pub struct Search {
+    options: Options,
+    /// Terms that gross readings of the declared model's first fit stand for: no step of the search.
+    given: usize,
+    size: usize,
+    /// The declared model.
+    pub base: Hypothesis,
+    /// Omnibus test on it.
+    pub first_test: OmnibusTest,
+    /// The best explanation so far.
+    pub best: Hypothesis,
+    /// Omnibus test on that.
+    pub test: OmnibusTest,
+    /// Explanations of the last size, best first.
+    level: Vec<Hypothesis>,
+    refitted: Vec<Hypothesis>,
+    /// What was never named, and at which gate.
+    pub rejections: Vec<Rejection>,
+}
+
+impl Search {
+    /// Begins with the declared model under these weights; none where that has no fit.
+    pub fn new(system: &dyn MeasurementModel, weights: &Weights, options: &Options) -> Option<Self> {
+        options.progress.at("testing the declared model", 0.0);
+        let base = declared(system, weights, options.seed)?;
+        let test = omnibus_test(system, &base.fit, &base.weights, options);
+        Some(Self {
+            options: options.clone(),
+            given: base.key(system, outlier_index(system)).len(),
+            size: 1,
+            first_test: test.clone(),
+            best: base.clone(),
+            test,
+            level: vec![base.clone()],
+            refitted: Vec::new(),
+            rejections: Vec::new(),
+            base,
+        })
+    }
+
+    /// A generic driver explains more than the catalogue does.
+    pub fn generic_driver_wins(&self) -> bool {
+        covariate_wins(&self.base, &self.first_test, &self.best, self.best.fit.variance())
+    }
+
+    /// The explanation that the noise is taken from: the best one, but for where a generic driver explains more.
+    pub fn accepted(&self) -> &Hypothesis {
+        if self.generic_driver_wins() { &self.base } else { &self.best }
+    }
+
+    /// Something was found or is left: heavier tails would be a reason to look again.
+    pub fn is_inadequate(&self) -> bool {
+        let found = !self.best.fit.terms.is_empty() || !self.best.flagged.is_empty();
+        found || self.test.rejected() || self.generic_driver_wins()
+    }
+
+    /// The explanations that the data do not reject (Cox's test), and what they are worth.
+    pub fn compare_rivals(&self, system: &dyn MeasurementModel) -> SearchResult {
+        let Self { options, base, best, .. } = self;
+        let mut refitted = self.refitted.clone();
+        let outliers = outlier_index(system);
+        let variance = best.fit.variance();
+        let top = best.criterion(&base.fit, variance);
+        let behind = |h: &Hypothesis| h.criterion(&base.fit, variance) - top;
+        let p_values = compared(system, best, &mut refitted, options);
+        let survivors: Vec<Hypothesis> = refitted
+            .iter()
+            .zip(&p_values)
+            .filter(|(h, p)| **p >= AMBIGUITY_LEVEL || not_told(system, base, best, h, behind(h)))
+            .map(|(h, _)| h.clone())
+            .collect();
+        let line = |(h, p_value): (&Hypothesis, &f64)| RankedHypothesis {
+            effects: names(system, &h.key(system, outliers)),
+            laws: laws(system, h),
+            gain: (base.fit.ssr - h.fit.ssr) / variance,
+            behind: behind(h),
+            parameters: h.parameters(&base.fit) as usize,
+            p_value: *p_value,
+        };
+        let evidence = refitted.iter().zip(&p_values).map(line).collect();
+        SearchResult {
+            base: base.clone(),
+            first_test: self.first_test.clone(),
+            best: best.clone(),
+            last_test: self.test.clone(),
+            survivors,
+            evidence,
+            refitted,
+            rejections: self.rejections.clone(),
+            covariate_beats_catalogue: self.generic_driver_wins(),
+        }
+    }
+}
+
+/// Whether anything is left beyond noise by the best explanation of the last size, and a larger one may be tried.
+pub fn test_adequacy(system: &dyn MeasurementModel, search: &Search) -> bool {
+    let done = (search.size - 1) as f64 / search.options.largest as f64;
+    search.options.progress.at("searching for effects", done);
+    search.size <= search.options.largest
+        && (search.test.rejected() || single_readings(system, &search.best))
+}
+
+/// Signatures of the catalogue off the nuisances of each explanation that is gone on from.
+pub fn project_signatures(system: &dyn MeasurementModel, search: &Search) -> Signatures {
+    let parents = search.level.iter().take(if search.size == 1 { 1 } else { PARENTS }).enumerate();
+    let of = |(k, h): (usize, &Hypothesis)| {
+        let known = || search.test.signatures.clone();
+        let anew = || signatures_of_catalogue(system, &h.fit, &h.weights, &nuisance(&h.fit));
+        (h.clone(), if k == 0 { known() } else { anew() })
+    };
+    Signatures { parents: parents.map(of).collect() }
+}
+
+/// The terms that would lower the projected misfit of each of them most.
+pub fn screen_subsets(system: &dyn MeasurementModel, signatures: Signatures) -> Candidates {
+    let of = |(k, (h, own)): (usize, &(Hypothesis, Vec<Signature>))| extensions(system, (k, h), own);
+    let extended = signatures.parents.iter().enumerate().flat_map(of).collect();
+    Candidates { parents: signatures.parents.into_iter().map(|(h, _)| h).collect(), extended }
+}
+
+/// The candidates through the full forward model, outliers taken out of each, and sets of effects whose linear merit is before all of them.
+pub fn refit(system: &dyn MeasurementModel, search: &Search, candidates: &Candidates) -> Vec<Hypothesis> {
+    let (outliers, variance) = (outlier_index(system), search.best.fit.variance());
+    let mut next: Vec<Hypothesis> = Vec::new();
+    for (k, from) in candidates.parents.iter().enumerate() {
+        let own: Vec<&Candidate> = candidates.extended.iter().filter(|c| c.from == k).collect();
+        let mut more: Vec<Hypothesis> =
+            own.par_iter().flat_map_iter(|c| refit_starts(system, &c.starts, from)).collect();
+        let single = outliers.filter(|_| from.flagged.is_empty());
+        more.extend(
+            single.and_then(|_| reject_outliers(system, &from.fit.terms, &from.fit, &from.weights)),
+        );
+        merge(system, &mut next, more, outliers, &search.base.fit, variance);
+    }
+    if search.size > 1 {
+        let more = by_subsets(system, &search.base, &search.first_test.signatures, &next, search.size);
+        merge(system, &mut next, more, outliers, &search.base.fit, variance);
+    }
+    next
+}
+
+/// Takes the best of the refitted explanations where it is one that the design identifies, and that earns its parameters; true where it did.
+pub fn select_model(
+    system: &dyn MeasurementModel,
+    search: &mut Search,
+    mut refitted: Vec<Hypothesis>,
+) -> bool {
+    let outliers = outlier_index(system);
+    let open = refitted.iter().filter(|h| h.physical(system) && !h.acceptable(system));
+    search.rejections.extend(open.map(|h| Rejection {
+        effects: names(system, &h.key(system, outliers)),
+        gate: Gate::NotConverged,
+        why: String::new(),
+    }));
+    let size = search.given + search.size;
+    refitted.retain(|h| h.acceptable(system) && h.key(system, outliers).len() == size);
+    let (mut physical, refused) = identified(system, refitted);
+    let base = &search.base.fit;
+    let unidentified = |taken: &Hypothesis| {
+        ahead(&refused, taken, base).map(|n| Rejection {
+            effects: vec![system.catalogue()[n.effect].id.to_owned()],
+            gate: Gate::Identifiability,
+            why: n.why,
+        })
+    };
+    let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else {
+        search.rejections.extend(unidentified(&search.best));
+        return false;
+    };
+    physical.sort_by(|a, b| a.criterion(base, scale).total_cmp(&b.criterion(base, scale)));
+    let candidate = physical[0].clone();
+    search.rejections.extend(unidentified(&candidate));
+    let p = step_p(&search.best, &candidate, base, &search.test);
+    if p > CATALOGUE_LEVEL || candidate.criterion(base, scale) >= search.best.criterion(base, scale) {
+        return false;
+    }
+    take(system, search, physical);
+    true
+}
+
+/// The explanations of a size, the first of them the best so far; richer laws of it where something is left.
+fn take(system: &dyn MeasurementModel, search: &mut Search, mut physical: Vec<Hypothesis>) {
+    let test = |h: &Hypothesis, round: usize| {
+        let seed = search.options.seed.wrapping_add((round as u64).wrapping_mul(0x9e37));
+        omnibus_test(system, &h.fit, &h.weights, &Options { seed, ..search.options.clone() })
+    };
+    physical[0] = settle(system, flag_anew(system, physical[0].clone()));
+    let mut left = test(&physical[0], search.size);
+    if left.rejected() && refine_level(system, &search.base, &mut physical) {
+        physical[0] = settle(system, flag_anew(system, physical[0].clone()));
+        left = test(&physical[0], search.options.largest + search.size);
+    }
+    (search.best, search.test) = (physical[0].clone(), left);
+    (search.level, search.refitted) = (physical.clone(), physical);
+    search.size += 1;
+}
 
 fn outlier_index(system: &dyn MeasurementModel) -> Option<usize> {
     system.outliers().filter(|&e| system.not_observable(e).is_none())
 }
 
-/// Explanations with one term more than `from`: the best laws of each key refitted, and outliers removed.
-fn extend(system: &dyn MeasurementModel, from: &Hypothesis, signatures: &[Signature]) -> Vec<Hypothesis> {
+/// A start of a refit: the explanation that it goes on from, and the terms with it.
+struct Candidate {
+    from: usize,
+    starts: Vec<Vec<EffectTerm>>,
+}
+
+/// Explanations that are worth a refit.
+pub struct Candidates {
+    parents: Vec<Hypothesis>,
+    extended: Vec<Candidate>,
+}
+
+/// Signatures of one term more on the explanations that are gone on from: the few best of the last size, since the true set need not contain the
+/// best single effect.
+pub struct Signatures {
+    parents: Vec<(Hypothesis, Vec<Signature>)>,
+}
+
+/// Starts with one term more than the explanation `from`: the best laws of each key.
+fn extensions(
+    system: &dyn MeasurementModel,
+    (k, from): (usize, &Hypothesis),
+    signatures: &[Signature],
+) -> Vec<Candidate> {
     let residual = from.fit.stacked();
     let gains: Vec<f64> = signatures.iter().map(|a| a.gain(&residual)).collect();
     let mut best_of: BTreeMap<TermKey, f64> = BTreeMap::new();
@@ -36,30 +259,23 @@ fn extend(system: &dyn MeasurementModel, from: &Hypothesis, signatures: &[Signat
         best_of.into_iter().filter(|b| b.1 > 4.0 * from.fit.variance().min(1.0e300)).collect();
     ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
     ranked.truncate(REFITS);
-    let mut out: Vec<Hypothesis> = ranked
-        .par_iter()
-        .flat_map_iter(|&(key, top)| {
-            let laws = &system.catalogue()[key.effect].laws;
-            // Laws are rivals of their own; within a law the best point of the grid starts the refit.
-            let starts: Vec<Vec<EffectTerm>> = (0..laws.len())
-                .filter_map(|l| {
-                    let best = (0..gains.len())
-                        .filter(|&i| signatures[i].term.law == l)
-                        .filter(|&i| signatures[i].term.key(system.catalogue()) == key)
-                        .max_by(|&a, &b| gains[a].total_cmp(&gains[b]))?;
-                    (gains[best] > 0.5 * top).then(|| {
-                        let mut terms = from.fit.terms.clone();
-                        terms.push(signatures[best].start(&residual, &laws[l]));
-                        terms
-                    })
-                })
-                .collect();
-            refit(system, &starts, from)
-        })
-        .collect();
-    let single = outlier_index(system).filter(|_| from.flagged.is_empty());
-    out.extend(single.and_then(|_| reject_outliers(system, &from.fit.terms, &from.fit, &from.weights)));
-    out
+    let of = |(key, top): (TermKey, f64)| {
+        let laws = &system.catalogue()[key.effect].laws;
+        // Laws are rivals of their own; within a law the best point of the grid starts the refit.
+        let start = |l: usize| {
+            let best = (0..gains.len())
+                .filter(|&i| signatures[i].term.law == l)
+                .filter(|&i| signatures[i].term.key(system.catalogue()) == key)
+                .max_by(|&a, &b| gains[a].total_cmp(&gains[b]))?;
+            (gains[best] > 0.5 * top).then(|| {
+                let mut terms = from.fit.terms.clone();
+                terms.push(signatures[best].start(&residual, &laws[l]));
+                terms
+            })
+        };
+        Candidate { from: k, starts: (0..laws.len()).filter_map(start).collect() }
+    };
+    ranked.into_iter().map(of).collect()
 }
 
 /// Sets of effects that all subsets of the projected linear model put before everything in `next`, refitted.
@@ -92,7 +308,7 @@ fn by_subsets(
             )
         })
         .take(KEPT)
-        .filter_map(|terms| refit(system, &[terms], base))
+        .filter_map(|terms| refit_starts(system, &[terms], base))
         .collect()
 }
 
@@ -124,114 +340,6 @@ fn step_p(from: &Hypothesis, to: &Hypothesis, base: &Fit, test: &OmnibusTest) ->
     let gain = from.fit.ssr - to.fit.ssr;
     let single = f_test(gain, from.fit.ssr, from.fit.dof, extra.max(1.0) as usize);
     test.family.adjusted(single)
-}
-
-/// Runs the search.
-pub fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Options) -> Option<SearchResult> {
-    options.progress.at("testing the declared model", 0.0);
-    let outliers = outlier_index(system);
-    let base = declared(system, weights, options.seed)?;
-    let first_test = omnibus_test(system, &base.fit, &base.weights, options);
-    // Gross readings that the declared model's first fit left out are no step of the search.
-    let given = base.key(system, outliers).len();
-    let mut best = base.clone();
-    let mut level: Vec<Hypothesis> = vec![base.clone()];
-    let mut level_test = first_test.clone();
-    let mut final_level: Vec<Hypothesis> = Vec::new();
-    let mut not_converged: Vec<Vec<String>> = Vec::new();
-    let mut not_identified: Vec<NotIdentified> = Vec::new();
-    for size in 1..=options.largest {
-        options.progress.at("searching for effects", (size - 1) as f64 / options.largest as f64);
-        if !level_test.rejected() && !single_readings(system, &best) {
-            break;
-        }
-        let mut next = larger(system, &base, &best, &level, [&level_test, &first_test], size);
-        let open = next.iter().filter(|h| h.physical(system) && !h.acceptable(system));
-        not_converged.extend(open.map(|h| names(system, &h.key(system, outliers))));
-        next.retain(|h| h.acceptable(system) && h.key(system, outliers).len() == given + size);
-        let (mut physical, refused) = identified(system, next);
-        let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else {
-            not_identified.extend(ahead(&refused, &best, &base.fit));
-            break;
-        };
-        physical.sort_by(|a, b| a.criterion(&base.fit, scale).total_cmp(&b.criterion(&base.fit, scale)));
-        let candidate = physical[0].clone();
-        let p = step_p(&best, &candidate, &base.fit, &level_test);
-        not_identified.extend(ahead(&refused, &candidate, &base.fit));
-        if p > CATALOGUE_LEVEL || candidate.criterion(&base.fit, scale) >= best.criterion(&base.fit, scale) {
-            break;
-        }
-        best = settle(system, flag_anew(system, candidate));
-        physical[0] = best.clone();
-        level_test = rerun_omnibus(system, &best, options, size as u64);
-        if level_test.rejected() && refine_level(system, &base, &mut physical) {
-            best = settle(system, flag_anew(system, physical[0].clone()));
-            physical[0] = best.clone();
-            level_test = rerun_omnibus(system, &best, options, (options.largest + size) as u64);
-        }
-        level = physical.clone();
-        final_level = physical;
-    }
-    let variance = best.fit.variance();
-    let top = best.criterion(&base.fit, variance);
-    let behind = |h: &Hypothesis| h.criterion(&base.fit, variance) - top;
-    let p_values = compared(system, &best, &mut final_level, options);
-    let survivors: Vec<Hypothesis> = final_level
-        .iter()
-        .zip(&p_values)
-        .filter(|(h, p)| **p >= AMBIGUITY_LEVEL || not_told(system, &base, &best, h, behind(h)))
-        .map(|(h, _)| h.clone())
-        .collect();
-    let line = |(h, p_value): (&Hypothesis, &f64)| Evidence {
-        effects: names(system, &h.key(system, outliers)),
-        laws: laws(system, h),
-        gain: (base.fit.ssr - h.fit.ssr) / variance,
-        behind: behind(h),
-        parameters: h.parameters(&base.fit) as usize,
-        p_value: *p_value,
-    };
-    let evidence = final_level.iter().zip(&p_values).map(line).collect();
-    let covariate_beats_catalogue = covariate_wins(&base, &first_test, &best, variance);
-    Some(SearchResult {
-        base,
-        first_test,
-        best,
-        last_test: level_test,
-        survivors,
-        evidence,
-        refitted: final_level,
-        not_converged,
-        not_identified,
-        covariate_beats_catalogue,
-        within_model_error: Vec::new(),
-    })
-}
-
-/// Explanations with one effect more: the few best of the last size extended, since the true set need not contain the best single effect, and
-/// subsets of the first test's signatures. `tests`: of the best explanation so far, and of the declared model.
-fn larger(
-    system: &dyn MeasurementModel,
-    base: &Hypothesis,
-    best: &Hypothesis,
-    level: &[Hypothesis],
-    [test, first_test]: [&OmnibusTest; 2],
-    size: usize,
-) -> Vec<Hypothesis> {
-    let (outliers, variance) = (outlier_index(system), best.fit.variance());
-    let mut next: Vec<Hypothesis> = Vec::new();
-    for (k, h) in level.iter().take(if size == 1 { 1 } else { 3 }).enumerate() {
-        let more = if k == 0 {
-            extend(system, h, &test.signatures)
-        } else {
-            extend(system, h, &signatures_of_catalogue(system, &h.fit, &h.weights, &nuisance(&h.fit)))
-        };
-        merge(system, &mut next, more, outliers, &base.fit, variance);
-    }
-    if size > 1 {
-        let more = by_subsets(system, base, &first_test.signatures, &next, size);
-        merge(system, &mut next, more, outliers, &base.fit, variance);
-    }
-    next
 }
 
 /// Names of the laws of an explanation's terms.
@@ -284,16 +392,6 @@ fn single_readings(system: &dyn MeasurementModel, h: &Hypothesis) -> bool {
     h.flagged.is_empty()
         && outlier_index(system).is_some()
         && reject_outliers(system, &h.fit.terms, &h.fit, &h.weights).is_some()
-}
-
-fn rerun_omnibus(
-    system: &dyn MeasurementModel,
-    h: &Hypothesis,
-    options: &Options,
-    round: u64,
-) -> OmnibusTest {
-    let seed = options.seed.wrapping_add(round.wrapping_mul(0x9e37));
-    omnibus_test(system, &h.fit, &h.weights, &Options { seed, ..options.clone() })
 }
 
 /// The declared model, fitted without readings that stand far out of it.

@@ -1,8 +1,8 @@
-//! The last rule, for every verdict and kind: what is called adequate or explained has names that the data support, a calibration that can be
-//! used and applied, and a held-out error that is neither above the one before nor far above the floor.
+//! The last rule on the open readings, for every kind: what is called adequate or explained can be used as a calibration, and the error of readings
+//! left out in turn is not far above the floor.
 //!
 //! ```text
-//! after <= before,     after^2 / floor^2 <= max(4, F_{0.999}(n, dof))          n independent held-out values, dof of the floor's replicates
+//! error^2 / floor^2 <= max(4, F_{0.999}(n, dof))          n left-out values, dof of the floor's replicates
 //! ```
 
 use super::held_out::Errors;
@@ -18,28 +18,23 @@ const ABOVE_LEVEL: f64 = 1e-3;
 /// Degrees of freedom of a floor that does not state them.
 const FLOOR_DOF: f64 = 8.0;
 
-/// Why a model is not accepted.
+/// Why a model cannot be called one that holds.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Fault {
+pub enum Unfit {
     /// It cannot be used, or not on its own rows.
     Useless(String),
-    /// Its held-out error is above the declared model's: before, after.
-    Worse([f64; 2]),
-    /// Its held-out error is far above the floor: error, floor.
+    /// Its error is far above the floor: error, floor.
     FarAboveFloor([f64; 2]),
 }
 
-impl Fault {
+impl Unfit {
     /// In a sentence; `unit` of the error.
     pub fn sentence(&self, unit: &str) -> String {
         let with = |v: f64| format!("{} {unit}", readable(v)).trim_end().to_owned();
         match self {
             Self::Useless(why) => why.clone(),
-            Self::Worse([before, after]) => {
-                format!("The held-out error rises from {} to {}.", readable(*before), with(*after))
-            }
             Self::FarAboveFloor([error, floor]) => format!(
-                "The held-out error of {} is {:.1} times what repeats differ by ({}): the model lacks what acts there.",
+                "The error of {} on readings that no fit saw is {:.1} times what repeats differ by ({}): the model lacks what acts there.",
                 with(*error),
                 error / floor,
                 with(*floor)
@@ -53,40 +48,27 @@ pub fn readable(value: f64) -> String {
     if (0.01..1e6).contains(&value.abs()) { format!("{value:.3}") } else { format!("{value:.3e}") }
 }
 
-/// What speaks against the accepted model; none where nothing does. `errors` count without single readings that do not belong;
-/// `rise_shown`: a rise of the error would be beyond chance.
-pub fn fault<M: SessionModel>(
+/// Error and floor, where the accepted model's error is far above what repeats differ by.
+pub fn far_above_floor<M: SessionModel>(
     model: &M,
     accepted: &Hypothesis,
     errors: &Errors,
     floor: &FloorStatement,
-    rise_shown: bool,
-) -> Option<Fault> {
-    if let Some(why) = model.useless(accepted) {
-        return Some(Fault::Useless(why));
+) -> Option<Unfit> {
+    let after = errors.after.as_ref()?;
+    let (error, points) = (*after.rmse.get(model.quantities()[0].key)?, after.points as f64);
+    if floor.floor.source != "replicates" || !(floor.sd > 0.0) {
+        return None;
     }
-    let key = model.quantities()[0].key;
-    let counted = errors.trimmed.as_ref().map_or([&errors.before, &errors.after], |[b, a]| [b, a]);
-    let [before, after] = counted.map(|e| e.as_ref().and_then(|e| Some((*e.rmse.get(key)?, e.points))));
-    let (after, points) = after?;
-    if let Some((before, _)) = before.filter(|_| !accepted.fit.terms.is_empty())
-        && after > before
-        && rise_shown
-    {
-        return Some(Fault::Worse([before, after]));
-    }
-    let above = floor.floor.source == "replicates" && floor.sd > 0.0 && {
-        let readings = errors.shared.map_or(points as f64, |s| s.independent.min(points as f64));
-        let widening = errors.shared.map_or(1.0, |s| s.widening);
-        let values = (readings * model.measured().ncols() as f64).max(1.0);
-        let ratio = after / (floor.sd * errors.noise_ratio.max(1.0) * widening);
-        let chance = FisherSnedecor::new(values, model.floor_dof(accepted).unwrap_or(FLOOR_DOF).max(1.0))
-            .map_or(1.0, |f| f.sf(ratio * ratio));
-        ratio > FAR_ABOVE && chance < ABOVE_LEVEL
-    };
+    let readings = errors.shared.map_or(points, |s| s.independent.min(points));
+    let widening = errors.shared.map_or(1.0, |s| s.widening);
+    let values = (readings * model.measured().ncols() as f64).max(1.0);
+    let ratio = error / (floor.sd * errors.noise_ratio.max(1.0) * widening);
+    let dof = model.floor_dof(accepted).unwrap_or(FLOOR_DOF).max(1.0);
+    let chance = FisherSnedecor::new(values, dof).map_or(1.0, |f| f.sf(ratio * ratio));
     // A level that is left out at the end of the range is extrapolated to: intervals that say so, on a noise that is the floor's, are no fault.
     let stated = accepted.fit.readings_variance().sqrt() * model.noise_factor() <= FAR_ABOVE * floor.sd
         && errors.coverage95.is_some_and(|c| c >= MIN_COVERAGE);
-    let above = above && !stated;
-    above.then_some(Fault::FarAboveFloor([after, floor.sd * errors.noise_ratio.max(1.0)]))
+    let far = ratio > FAR_ABOVE && chance < ABOVE_LEVEL && !stated;
+    far.then_some(Unfit::FarAboveFloor([error, floor.sd * errors.noise_ratio.max(1.0)]))
 }

@@ -1,11 +1,13 @@
-//! The verdict from what the search found, in the order of docs/src/formats.md.
+//! The verdict, written once from what was found on the open readings, in the order of docs/src/formats.md.
 
+use super::acceptance::{Unfit, readable};
 use super::session_model::SessionModel;
-use super::support::supported;
 use crate::effect::{EffectTerm, LawRequirement};
 use crate::error::TraceError;
+use super::evidence::Explained;
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference::in_class;
+use crate::method::lack_of_fit::LackOfFit;
 use crate::method::omnibus::{CovariateScore, LACK_OF_FIT_LEVEL, OmnibusTest};
 use wcal_core::verify_document::{NamedEffect, TwinFault, UnknownEffect, Verdict};
 
@@ -26,122 +28,49 @@ pub struct Conclusion {
     pub unknown: Option<UnknownEffect>,
     /// The explanation that predictions use.
     pub accepted: Hypothesis,
+    /// It was accepted by request.
+    pub on_request: bool,
 }
 
 impl Conclusion {
-    /// Nothing but rounding is left: structure in it means nothing.
-    pub fn exact(base: &Hypothesis) -> Self {
-        Self {
-            verdict: Verdict::Adequate,
-            reason: "The declared model fits to the last digit.".to_owned(),
-            effects: Vec::new(),
-            alternatives: Vec::new(),
-            rivals: Vec::new(),
-            unknown: None,
-            accepted: base.clone(),
-        }
+    /// Whether it says that the accepted model holds.
+    pub fn asserts_validity(&self) -> bool {
+        asserts(self.verdict, self.on_request)
     }
+}
 
-    /// Takes the surviving explanation with exactly the effects `asked`.
-    ///
-    /// # Errors
-    /// Where no surviving explanation has these effects.
-    pub fn accept<M: SessionModel>(
-        &mut self,
-        model: &M,
-        found: &SearchResult,
-        asked: &[String],
-    ) -> Result<(), TraceError> {
-        let mut wanted = asked.to_vec();
-        wanted.sort_unstable();
-        let same = |h: &&Hypothesis| {
-            let mut own = ids(model, h);
-            own.sort_unstable();
-            own == wanted
-        };
-        let Some(chosen) = found.survivors.iter().find(same) else {
-            let survivors: Vec<String> = self.alternatives.iter().map(|a| a.join(",")).collect();
-            return Err(TraceError::NotASurvivor {
-                asked: asked.join(","),
-                survivors: if survivors.is_empty() { "none".to_owned() } else { survivors.join("; ") },
-            });
-        };
-        self.effects = named(model, found, chosen, &[]);
-        self.accepted = chosen.clone();
-        self.reason = format!("Accepted by request: {}. {}", join(asked), self.reason);
-        Ok(())
+fn asserts(verdict: Verdict, on_request: bool) -> bool {
+    match verdict {
+        Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
+        Verdict::Ambiguous => on_request,
+        Verdict::UnknownEffect | Verdict::Refused => false,
     }
+}
 
-    /// The accepted effects make the unsealed readings worse: they are no explanation, and nothing of them stays accepted.
-    pub fn withdrawn(&mut self, base: &Hypothesis, noise: Option<NamedEffect>, errors: &str, left: bool) {
-        let names: Vec<String> = self.effects.iter().map(|e| e.id.clone()).collect();
-        let found = format!(
-            "The fitted readings support {}, but the held-out error {errors} with it: not accepted.",
-            join(&names)
-        );
-        self.alternatives = noise.iter().map(|e| vec![e.id.clone()]).collect();
-        self.effects = noise.into_iter().collect();
-        self.rivals = Vec::new();
-        self.accepted = base.clone();
-        (self.verdict, self.reason) = if left {
-            let left = "A residual remains that no catalogued effect explains.";
-            (Verdict::UnknownEffect, format!("{found} {left}"))
-        } else if self.effects.is_empty() {
-            let enough = "The declared model and the noise explain the readings.";
-            (Verdict::Adequate, format!("{enough} {found}"))
-        } else {
-            (Verdict::Effect, format!("{} {found}", self.effects[0].sentence))
-        };
-    }
+/// Effects that were taken back, since the error of readings left out in turn rises with them.
+pub struct Withdrawn {
+    /// Their identifiers.
+    pub names: Vec<String>,
+    /// Error before and after.
+    pub errors: [f64; 2],
+}
 
-    /// Effects that are none are dropped: nothing of them stays accepted.
-    pub fn only_supported<M: SessionModel>(&mut self, model: &M, found: &SearchResult) {
-        if self.verdict == Verdict::Ambiguous || self.accepted.fit.terms.is_empty() {
-            return;
-        }
-        let kept = supported(model, found, &self.accepted);
-        if kept.fit.terms.len() == self.accepted.fit.terms.len() {
-            return;
-        }
-        let noise = model.noise_effect();
-        self.effects = named(model, found, &kept, &[]);
-        self.effects.extend(noise);
-        self.alternatives = vec![self.effects.iter().map(|e| e.id.clone()).collect()];
-        self.alternatives.retain(|a| !a.is_empty());
-        self.accepted = kept;
-        if self.verdict == Verdict::Effect {
-            (self.verdict, self.reason) = if self.effects.is_empty() {
-                (Verdict::Adequate, "Nothing that the data support is left by the declared model.".to_owned())
-            } else {
-                (Verdict::Effect, sentences(&self.effects))
-            };
-        }
-    }
-
-    /// The model is not accepted, whatever the fitted readings say; effects that were found stay listed.
-    pub fn not_accepted(&mut self, why: &str) {
-        self.verdict = Verdict::UnknownEffect;
-        self.reason = format!("{why} {}", self.reason);
-    }
-
-    /// The unsealed readings contradict the accepted model: nothing may be called adequate, explained or accepted on request then.
-    /// No driver is named: the fitted readings show none.
-    pub fn contradicted(&mut self, p: f64, on_request: bool) {
-        if self.claims(on_request) {
-            self.not_accepted(&format!(
-                "The held-out readings contradict what the fitted readings allow (p = {p:.1e}): something acts there that they do not show."
-            ));
-        }
-    }
-
-    /// Whether the verdict claims that a model holds.
-    pub fn claims(&self, on_request: bool) -> bool {
-        match self.verdict {
-            Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
-            Verdict::Ambiguous => on_request,
-            Verdict::UnknownEffect | Verdict::Refused => false,
-        }
-    }
+/// What the verdict is read off.
+pub struct Facts<'a, M> {
+    model: &'a M,
+    explained: &'a Explained,
+    faults: &'a [TwinFault],
+    /// Effects were found, and no generic driver explains more than they do.
+    something: bool,
+    /// Of each survivor: is it of the best one's class?
+    same_class: Vec<bool>,
+    /// Survivors of another class, or of the same names driven by something else.
+    rivals: Vec<Hypothesis>,
+    /// A test says that something is left.
+    left: bool,
+    /// Lack of fit against pure error where it is significant, and what it would follow.
+    lack: Option<UnknownEffect>,
+    p_lack_of_fit: Option<f64>,
 }
 
 /// Identifiers of an explanation's effects, flagged readings among them.
@@ -249,93 +178,228 @@ fn unknown_reason(unknown: Option<&UnknownEffect>, beyond: &[NamedEffect]) -> St
     format!("A residual{beyond} remains that no catalogued effect explains{follows}.")
 }
 
-/// Applies the order of docs/src/formats.md: ambiguous, unknown-effect, effect, twin-fault, adequate.
-pub fn conclude<M: SessionModel>(model: &M, found: &SearchResult, faults: &[TwinFault]) -> Conclusion {
-    // What a generic driver explains better than the catalogue does is named after no effect.
-    let covariate_wins = found.covariate_beats_catalogue;
-    let something = !ids(model, &found.best).is_empty() && !covariate_wins;
-    let same = in_class(model, found);
-    let part = |of_class: bool| -> Vec<&Hypothesis> {
-        let all = found.survivors.iter().zip(&same);
-        all.filter(|(_, s)| something && **s == of_class).map(|(h, _)| h).collect()
-    };
-    // The same names are rivals where something else drives them: a period over time, or over the stimulus.
-    let (names, driven) = (ids(model, &found.best), drivers(model, &found.best));
-    let other_driver = |h: &Hypothesis| ids(model, h) == names && drivers(model, h) != driven;
-    let rivals = || {
-        let all = found.survivors.iter().zip(&same).filter(|_| something);
-        let rival =
-            |(h, of_class): &(&Hypothesis, &bool)| other_driver(h) || (!**of_class && ids(model, h) != names);
-        all.filter(rival).map(|(h, _)| h)
-    };
-    let noise = model.noise_effect();
-    let with_noise = |mut ids: Vec<String>| {
-        ids.extend(noise.as_ref().map(|e| e.id.clone()));
-        ids
-    };
-    let mut effects = if something { named(model, found, &found.best, &part(true)) } else { Vec::new() };
-    effects.extend(noise.clone());
-    let mut listed = Vec::new();
-    let mut alternatives: Vec<Vec<String>> = if something {
-        let all = found.survivors.iter().filter(|h| {
-            let own = (ids(model, h), drivers(model, h));
-            let new = !listed.contains(&own);
-            listed.push(own);
-            new
-        });
-        all.map(|h| with_noise(ids(model, h))).collect()
-    } else {
-        vec![with_noise(Vec::new())]
-    };
-    alternatives.retain(|a| !a.is_empty());
-    let mut c = Conclusion {
-        verdict: Verdict::Adequate,
-        reason: String::new(),
-        effects,
-        alternatives,
-        rivals: rivals().cloned().collect(),
-        unknown: None,
-        accepted: found.accepted().clone(),
-    };
-    let left = covariate_wins || (found.last_test.rejected() && !model.residual_explained(found));
-    let against_pure_error = model.lack_of_fit(&c.accepted);
-    let p_lack_of_fit = against_pure_error.as_ref().map(|(l, _)| l.p_value);
-    let lack = against_pure_error.filter(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
-    if !c.rivals.is_empty() && lack.is_none() {
-        c.verdict = Verdict::Ambiguous;
-        let mut names: Vec<String> = c.alternatives.iter().map(|a| a.join(" with ")).collect();
-        if c.rivals.iter().any(other_driver) {
-            names = std::iter::once(&found.best)
-                .chain(&c.rivals)
-                .map(|h| laws(model, h).join(" with "))
-                .collect();
+impl<'a, M: SessionModel> Facts<'a, M> {
+    /// Gathers them.
+    pub fn of(model: &'a M, explained: &'a Explained, faults: &'a [TwinFault]) -> Self {
+        let found = &explained.found;
+        // What a generic driver explains better than the catalogue does is named after no effect.
+        let covariate_wins = found.covariate_beats_catalogue;
+        let something = !explained.exact && !ids(model, &found.best).is_empty() && !covariate_wins;
+        let same_class = in_class(model, found);
+        let names = ids(model, &found.best);
+        let rival = |h: &Hypothesis, of_class: bool| {
+            other_driver(model, found, h) || (!of_class && ids(model, h) != names)
+        };
+        let all = found.survivors.iter().zip(&same_class).filter(|_| something);
+        let rivals = all.filter(|(h, of_class)| rival(h, **of_class)).map(|(h, _)| h.clone()).collect();
+        let against_pure_error = model.lack_of_fit(found.accepted()).filter(|_| !explained.exact);
+        let lack = |(l, driver): (LackOfFit, UnknownEffect)| (l.p_value < LACK_OF_FIT_LEVEL).then_some(driver);
+        Self {
+            model,
+            explained,
+            faults,
+            something,
+            same_class,
+            rivals,
+            left: !explained.exact
+                && (covariate_wins || (found.last_test.rejected() && !model.residual_explained(found))),
+            p_lack_of_fit: against_pure_error.as_ref().map(|(l, _)| l.p_value),
+            lack: against_pure_error.and_then(lack),
         }
-        c.reason =
-            format!("The data show an unmodelled effect; these explanations remain: {}.", names.join("; "));
-    } else if left || lack.is_some() {
-        c.verdict = Verdict::UnknownEffect;
-        let test = if something { &found.last_test } else { &found.first_test };
+    }
+
+    fn found(&self) -> &'a SearchResult {
+        &self.explained.found
+    }
+
+    /// The explanation that stands before a term is taken back.
+    pub fn accepted(&self) -> &'a Hypothesis {
+        if self.explained.exact { &self.found().base } else { self.found().accepted() }
+    }
+
+    /// Explanations of more than one class remain, and repeats contradict none.
+    pub fn is_ambiguous(&self) -> bool {
+        !self.rivals.is_empty() && self.lack.is_none()
+    }
+
+    /// The surviving explanation with exactly the effects `asked`; none where nothing is asked.
+    ///
+    /// # Errors
+    /// Where no surviving explanation has these effects.
+    pub fn asked(&self, asked: &[String]) -> Result<Option<&'a Hypothesis>, TraceError> {
+        if asked.is_empty() {
+            return Ok(None);
+        }
+        let sorted = |mut ids: Vec<String>| {
+            ids.sort_unstable();
+            ids
+        };
+        let wanted = sorted(asked.to_vec());
+        let chosen = self.found().survivors.iter().find(|h| sorted(ids(self.model, h)) == wanted);
+        let survivors: Vec<String> = self.alternatives().iter().map(|a| a.join(",")).collect();
+        let error = || TraceError::NotASurvivor {
+            asked: asked.join(","),
+            survivors: if survivors.is_empty() { "none".to_owned() } else { survivors.join("; ") },
+        };
+        chosen.ok_or_else(error).map(Some)
+    }
+
+    /// Whether the verdict says that `accepted` holds, as far as fitted readings tell.
+    pub fn asserts(&self, accepted: &Hypothesis, on_request: bool) -> bool {
+        asserts(self.verdict(&self.effects(accepted)), on_request)
+    }
+
+    /// The names that a conclusion on `accepted` would list.
+    pub fn effects(&self, accepted: &Hypothesis) -> Vec<NamedEffect> {
+        let found = self.found();
+        let whole = accepted.fit.terms == found.best.fit.terms;
+        let mates = found.survivors.iter().zip(&self.same_class).filter(|(_, same)| whole && **same);
+        let mates: Vec<&Hypothesis> = mates.map(|(h, _)| h).collect();
+        let mut effects =
+            if self.something { named(self.model, found, accepted, &mates) } else { Vec::new() };
+        effects.extend(self.model.noise_effect());
+        effects
+    }
+
+    /// The order of docs/src/formats.md: ambiguous, unknown-effect, effect, twin-fault, adequate.
+    fn verdict(&self, effects: &[NamedEffect]) -> Verdict {
+        if self.is_ambiguous() {
+            Verdict::Ambiguous
+        } else if self.left || self.lack.is_some() {
+            Verdict::UnknownEffect
+        } else if !effects.is_empty() {
+            Verdict::Effect
+        } else if !self.faults.is_empty() {
+            Verdict::TwinFault
+        } else {
+            Verdict::Adequate
+        }
+    }
+
+    /// Every surviving explanation, each once, the law of the noise with it.
+    fn alternatives(&self) -> Vec<Vec<String>> {
+        let noise = self.model.noise_effect();
+        let mut listed = Vec::new();
+        let mut all: Vec<Vec<String>> = Vec::new();
+        for h in self.found().survivors.iter().filter(|_| self.something) {
+            let own = (ids(self.model, h), drivers(self.model, h));
+            if !listed.contains(&own) {
+                all.push(own.0.clone());
+                listed.push(own);
+            }
+        }
+        if !self.something {
+            all.push(Vec::new());
+        }
+        all.iter_mut().for_each(|names| names.extend(noise.iter().map(|e| e.id.clone())));
+        all.retain(|names| !names.is_empty());
+        all
+    }
+
+    /// The conclusion that `accepted` is the model; `withdrawn` was taken back for it, `unfit` says why it cannot be called one that holds.
+    pub fn conclude(
+        &self,
+        accepted: Hypothesis,
+        on_request: bool,
+        withdrawn: Option<Withdrawn>,
+        unfit: Option<Unfit>,
+    ) -> Conclusion {
+        let unit = self.model.quantities()[0].unit;
+        let c = match withdrawn {
+            Some(withdrawn) => self.after_withdrawal(accepted, &withdrawn, unit),
+            None => self.as_found(accepted, on_request),
+        };
+        match unfit.filter(|_| c.asserts_validity()) {
+            Some(unfit) => Conclusion {
+                verdict: Verdict::UnknownEffect,
+                reason: format!("{} {}", unfit.sentence(unit), c.reason),
+                ..c
+            },
+            None => c,
+        }
+    }
+
+    fn as_found(&self, accepted: Hypothesis, on_request: bool) -> Conclusion {
+        let (model, found) = (self.model, self.found());
+        let effects = self.effects(&accepted);
+        let verdict = self.verdict(&effects);
+        // A term that is none was taken back: what else survives was found beside it.
+        let reduced = accepted.fit.terms.len() < self.accepted().fit.terms.len() && !on_request;
+        let own = || effects.iter().map(|e| e.id.clone()).collect::<Vec<_>>();
+        let mut alternatives = if reduced { vec![own()] } else { self.alternatives() };
+        alternatives.retain(|names| !names.is_empty());
+        let mut unknown = None;
+        let mut reason = match verdict {
+            Verdict::Ambiguous => {
+                let mut names: Vec<String> = alternatives.iter().map(|a| a.join(" with ")).collect();
+                if self.rivals.iter().any(|h| other_driver(model, found, h)) {
+                    let all = std::iter::once(&found.best).chain(&self.rivals);
+                    names = all.map(|h| laws(model, h).join(" with ")).collect();
+                }
+                let names = names.join("; ");
+                format!("The data show an unmodelled effect; these explanations remain: {names}.")
+            }
+            Verdict::UnknownEffect => {
+                unknown = self.unknown();
+                unknown_reason(unknown.as_ref(), &effects)
+            }
+            Verdict::Effect => sentences(&effects),
+            Verdict::TwinFault => {
+                let count: usize = self.faults.iter().map(|f| f.points.len()).sum();
+                format!("{count} labels of the outside twin are faulty; after their repair the model is adequate.")
+            }
+            _ if self.explained.exact => "The declared model fits to the last digit.".to_owned(),
+            _ if reduced => "Nothing that the data support is left by the declared model.".to_owned(),
+            _ => {
+                let p = found.first_test.p_value(self.p_lack_of_fit);
+                format!("The declared model explains the readings to within the noise (omnibus p = {p:.2}).")
+            }
+        };
+        if on_request {
+            reason = format!("Accepted by request: {}. {reason}", join(&ids(model, &accepted)));
+        }
+        let rivals = if verdict == Verdict::UnknownEffect { Vec::new() } else { self.rivals.clone() };
+        Conclusion { verdict, reason, effects, alternatives, rivals, unknown, accepted, on_request }
+    }
+
+    /// What drives what is left.
+    fn unknown(&self) -> Option<UnknownEffect> {
+        let (model, found) = (self.model, self.found());
+        let (test, fitted) =
+            if self.something { (&found.last_test, &found.best) } else { (&found.first_test, &found.base) };
         let clock = |s: &CovariateScore| matches!(s.covariate.as_str(), "order" | "t_s");
-        let fitted = if something { &found.best } else { &found.base };
         // What repeats with the protocol follows its places, not the clock that counts them.
         let protocol = |s: &CovariateScore| clock(s) && model.repeats_with_protocol(fitted, &s.columns);
-        let by_place = lack.is_some() && test.covariates.first().is_none_or(protocol);
-        c.unknown = if left && !by_place { unknown(test) } else { lack.map(|(_, driver)| driver) };
-        c.reason = unknown_reason(c.unknown.as_ref(), &c.effects);
-        c.rivals.clear();
-    } else if !c.effects.is_empty() {
-        c.verdict = Verdict::Effect;
-        c.reason = sentences(&c.effects);
-    } else if !faults.is_empty() {
-        c.verdict = Verdict::TwinFault;
-        let count: usize = faults.iter().map(|f| f.points.len()).sum();
-        c.reason = format!(
-            "{count} labels of the outside twin are faulty; after their repair the model is adequate."
-        );
-    } else {
-        let p = found.first_test.p_value(p_lack_of_fit);
-        c.reason =
-            format!("The declared model explains the readings to within the noise (omnibus p = {p:.2}).");
+        let by_place = self.lack.is_some() && test.covariates.first().is_none_or(protocol);
+        if self.left && !by_place { unknown(test) } else { self.lack.clone() }
     }
-    c
+
+    /// The declared model, where the effects predict worse than it does: they are no explanation, and nothing of them stays.
+    fn after_withdrawal(&self, base: Hypothesis, withdrawn: &Withdrawn, unit: &str) -> Conclusion {
+        let effects: Vec<NamedEffect> = self.model.noise_effect().into_iter().collect();
+        let [before, after] = withdrawn.errors.map(readable);
+        let found = format!(
+            "The fitted readings support {}, but the error of readings left out in turn rises from {before} to {} with it: not accepted.",
+            join(&withdrawn.names),
+            format!("{after} {unit}").trim_end()
+        );
+        let lack = self.model.lack_of_fit(&base).is_some_and(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
+        let (verdict, reason) = if self.found().first_test.generic() || lack {
+            let left = "A residual remains that no catalogued effect explains.";
+            (Verdict::UnknownEffect, format!("{found} {left}"))
+        } else if let [noise] = &effects[..] {
+            (Verdict::Effect, format!("{} {found}", noise.sentence))
+        } else {
+            let enough = "The declared model and the noise explain the readings.";
+            (Verdict::Adequate, format!("{enough} {found}"))
+        };
+        let alternatives = effects.iter().map(|e| vec![e.id.clone()]).collect();
+        let (rivals, unknown, on_request) = (Vec::new(), None, false);
+        Conclusion { verdict, reason, effects, alternatives, rivals, unknown, accepted: base, on_request }
+    }
+}
+
+/// The same names as the best explanation's, driven by something else: a period over time, or over the stimulus.
+fn other_driver<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> bool {
+    ids(model, h) == ids(model, &found.best) && drivers(model, h) != drivers(model, &found.best)
 }

@@ -1,31 +1,22 @@
-//! verify.json from what the stages found.
+//! verify.json from what was decided and what the sealed readings say of it.
 
+use super::assessment::{Assessment, filled};
 use super::conclusion::{Conclusion, ids, laws};
+use super::decision::Decision;
 use super::detect;
-use super::held_out::{Errors, Unsealed};
-use super::identifiability;
+use super::held_out::Errors;
 use super::noise_report::{noise_document, noise_sentences};
 use super::session_model::{FloorStatement, SessionModel};
-use crate::method::explain::Explained;
-use crate::method::hypothesis::Hypothesis;
-use wcal_core::verify_document::{FlaggedReading, TwinCheck, TwinFault, Verdict, VerifyDocument};
+use super::evidence::Explained;
+use crate::method::hypothesis::{Gate, Hypothesis};
+use wcal_core::verify_document::{FlaggedReading, NoiseDocument, TwinCheck, Verdict, VerifyDocument};
 
 /// The document; session, files and mark are the caller's.
-#[allow(clippy::too_many_arguments, reason = "one argument a stage, in their order")]
-pub fn document<M: SessionModel>(
-    model: &M,
-    whole: &M,
-    explained: &Explained,
-    conclusion: &Conclusion,
-    faults: &[TwinFault],
-    floor: &FloorStatement,
-    unsealed: &Unsealed<M::Predictions>,
-    errors: &Errors,
-    seed: u64,
-) -> VerifyDocument {
+pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment<M>) -> VerifyDocument {
+    let Decision { model, explained, conclusion, floor, .. } = decision;
     let found = &explained.found;
     let between = model.between_sessions(&conclusion.accepted);
-    let noise = (!explained.exact).then(|| noise_document(&unsealed.noise, between, &model.unit()));
+    let noise = (!explained.exact).then(|| noise_document(&decision.noise, between, &model.unit()));
     let rivals: Vec<&Hypothesis> = conclusion.rivals.iter().collect();
     let next = (conclusion.verdict == Verdict::Ambiguous && !rivals.is_empty())
         .then(|| model.next_measurement(&found.best, &rivals));
@@ -36,33 +27,33 @@ pub fn document<M: SessionModel>(
     };
     let fit = if std::ptr::eq(test, &found.last_test) { &found.best.fit } else { &found.base.fit };
     let second = model.second_witness(found, &conclusion.accepted);
+    let in_turn = &decision.left_out.errors;
+    let errors = match &assessment.errors {
+        Some(sealed) => filled(model, sealed.clone(), in_turn),
+        None => in_turn.clone(),
+    };
     VerifyDocument {
         effects: conclusion.effects.clone(),
         alternatives: conclusion.alternatives.clone(),
         unknown: conclusion.unknown.clone(),
-        twin: TwinCheck { faults: faults.to_vec() },
+        twin: TwinCheck { faults: decision.faults.clone() },
         noise_floor: floor.floor.clone(),
-        flagged: flagged(model, whole, conclusion, unsealed),
+        flagged: flagged(decision, assessment),
         before: errors.before.clone(),
         after: errors.after.clone(),
         after_trimmed: errors.trimmed.as_ref().and_then(|[_, after]| after.clone()),
         coverage95: errors.coverage95,
         next_measurement: next.flatten(),
         detectable: detect::table(model, fit, test),
-        notes: notes(model, explained, conclusion, floor, &noise, errors),
-        leave_one_effect_out: identifiability::left_out(
-            model,
-            whole,
-            found,
-            &conclusion.accepted,
-            &unsealed.noise,
-            &unsealed.left_out,
-        ),
+        notes: notes(model, explained, conclusion, floor, &noise, in_turn),
+        leave_one_effect_out: decision.ablations.clone(),
+        holdout: assessment.holdout.clone(),
         witness: second.as_ref().and_then(|s| s.decided.clone()),
         pictures: second,
+        tests: explained.tests.clone(),
         noise,
         verdict: conclusion.verdict,
-        ..VerifyDocument::refused("", model.kind(), reason(model, conclusion, floor, errors), seed)
+        ..VerifyDocument::refused("", model.kind(), reason(model, conclusion, floor, &errors), decision.seed)
     }
 }
 
@@ -73,18 +64,13 @@ fn reason<M: SessionModel>(model: &M, c: &Conclusion, floor: &FloorStatement, er
 }
 
 /// Readings that count in no fit or no held-out error.
-fn flagged<M: SessionModel>(
-    model: &M,
-    whole: &M,
-    conclusion: &Conclusion,
-    unsealed: &Unsealed<M::Predictions>,
-) -> Vec<FlaggedReading> {
+fn flagged<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment<M>) -> Vec<FlaggedReading> {
     let of = |m: &M, i: usize| {
         let origin = m.origin(i);
         FlaggedReading { source: origin.source, point: origin.point }
     };
-    let fitted = conclusion.accepted.flagged.iter().map(|&i| of(model, i));
-    fitted.chain(unsealed.left_out.iter().map(|&i| of(whole, i))).collect()
+    let fitted = decision.conclusion.accepted.flagged.iter().map(|&i| of(&decision.model, i));
+    fitted.chain(assessment.flagged.iter().map(|&i| of(&assessment.whole, i))).collect()
 }
 
 fn notes<M: SessionModel>(
@@ -92,7 +78,7 @@ fn notes<M: SessionModel>(
     explained: &Explained,
     conclusion: &Conclusion,
     floor: &FloorStatement,
-    noise: &Option<wcal_core::verify_document::NoiseDocument>,
+    noise: &Option<NoiseDocument>,
     errors: &Errors,
 ) -> Vec<String> {
     let mut notes: Vec<String> = floor.note.iter().cloned().collect();
@@ -104,10 +90,7 @@ fn notes<M: SessionModel>(
             points.join(", ")
         ));
     }
-    notes.extend(explained.found.not_converged.iter().map(|effects| {
-        format!("The fit of {} did not converge: it is not among the explanations.", effects.join(" with "))
-    }));
-    notes.extend(not_identified(model, explained));
+    notes.extend(rejections(model, explained));
     notes.extend(other_laws(model, explained, conclusion));
     notes.extend(noise.iter().flat_map(noise_sentences));
     notes.extend(model.notes(&explained.found, &conclusion.accepted));
@@ -124,12 +107,22 @@ fn notes<M: SessionModel>(
     notes
 }
 
-/// Effects that describe the readings better than what is named, each once: a name is none where the design does not tell it.
-fn not_identified<M: SessionModel>(model: &M, explained: &Explained) -> Vec<String> {
+/// Names that fell, each once.
+fn rejections<M: SessionModel>(model: &M, explained: &Explained) -> Vec<String> {
     let mut out: Vec<String> = Vec::new();
-    for n in &explained.found.not_identified {
-        let sentence =
-            format!("{} is not named: {}.", model.catalogue()[n.effect].id, model.format_text(&n.why));
+    for r in &explained.found.rejections {
+        let names = r.effects.join(" with ");
+        let sentence = match r.gate {
+            Gate::NotConverged => {
+                format!("The fit of {names} did not converge: it is not among the explanations.")
+            }
+            Gate::Identifiability => format!("{names} is not named: {}.", model.format_text(&r.why)),
+            Gate::Witness => format!("{names} is refuted by another measurement of this instrument."),
+            Gate::LeftOutError => format!(
+                "Within model error: the fitted readings ask for {names}, which lowers the error of groups left out by less than its uncertainty; not \
+                 named."
+            ),
+        };
         if !out.contains(&sentence) {
             out.push(sentence);
         }

@@ -1,8 +1,7 @@
-//! The error on readings that no fit saw, before and after.
+//! The error on open readings that are left out in turn, before and after.
 
-use super::conclusion::Conclusion;
-use super::error_summary::{coverage95, summarise};
-use super::session_model::{Folds, HeldOut, Quantity, SessionModel};
+use super::error_summary::{coverage95, rmse, summarise};
+use super::session_model::{Folds, HeldOut, SessionModel};
 use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::linear::{Basis, stack_with};
@@ -10,7 +9,7 @@ use crate::method::noise::Noise;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use wcal_core::median::median;
-use wcal_core::verify_document::HeldOutError;
+use wcal_core::verify_document::{EffectAblation, HeldOutError};
 
 /// Held-out errors of the declared and the accepted model.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -46,77 +45,52 @@ pub struct SharedNoise {
 
 impl Errors {
     /// The accepted model has an error of that quantity.
-    fn shows(&self, key: &str) -> bool {
+    pub(super) fn shows(&self, key: &str) -> bool {
         self.after.as_ref().is_some_and(|e| e.rmse.contains_key(key))
     }
 }
 
-/// What the unsealed readings are under both models.
-pub struct Unsealed<P> {
-    /// Noise of the accepted model.
-    pub noise: Noise,
-    /// Declared model.
-    pub before: P,
-    /// Accepted model.
-    pub after: P,
-    /// Single unsealed readings that do not belong.
-    pub left_out: Vec<usize>,
+/// Errors of open readings that were left out in turn, and how they were.
+pub struct LeftOut {
+    /// Declared and accepted model.
+    pub errors: Errors,
+    folds: Folds,
 }
 
-/// Errors of the readings that count.
-pub fn scored<M: SessionModel>(whole: &M, predictions: &M::Predictions, left_out: &[usize]) -> Vec<HeldOut> {
-    let counts = |i: &usize| whole.scored()[*i] && !left_out.contains(i);
-    (0..whole.scored().len()).filter(counts).map(|i| whole.errors(predictions, i)).collect()
-}
+impl LeftOut {
+    /// Error before and after in the first quantity, where it rises with the accepted effects.
+    pub fn rise<M: SessionModel>(&self, model: &M) -> Option<[f64; 2]> {
+        let key = model.quantities()[0].key;
+        let of = |e: &Option<HeldOutError>| e.as_ref()?.rmse.get(key).copied();
+        let (before, after) = (of(&self.errors.before)?, of(&self.errors.after)?);
+        (after > before).then_some([before, after])
+    }
 
-/// Errors on the unsealed readings of `whole`.
-pub fn holdout_errors<M: SessionModel>(whole: &M, unsealed: &Unsealed<M::Predictions>, seed: u64) -> Errors {
-    // Every sealed reading counts: which ones belong is no choice of the model that they judge.
-    let of = |p: &M::Predictions| scored(whole, p, &[]);
-    let sum = |rows: &[HeldOut]| summarise(rows, whole.quantities(), "holdout", seed);
-    let rows = of(&unsealed.after);
-    let without = |p: &M::Predictions| sum(&scored(whole, p, &unsealed.left_out));
-    let trimmed =
-        (!unsealed.left_out.is_empty()).then(|| [without(&unsealed.before), without(&unsealed.after)]);
-    let counted: Vec<usize> = (0..whole.scored().len()).filter(|&i| whole.scored()[i]).collect();
-    Errors {
-        before: sum(&of(&unsealed.before)),
-        after: sum(&rows),
-        trimmed,
-        noise_ratio: noise_ratio(whole, &unsealed.noise, &counted),
-        coverage95: coverage95(&rows),
-        ..Errors::default()
+    /// What the fit and the left-out readings lose without each accepted effect, the others refitted.
+    pub fn ablations<M: SessionModel>(
+        &self,
+        model: &M,
+        found: &SearchResult,
+        accepted: &Hypothesis,
+        noise: &Noise,
+    ) -> Vec<EffectAblation> {
+        let mut effects: Vec<usize> = accepted.fit.terms.iter().map(|t| t.effect).collect();
+        effects.dedup();
+        let leave = LeaveOut { model, found, accepted, noise, folds: &self.folds, every: false };
+        let error = |h: &Hypothesis| Some(rmse(&leave.errors(h, &[], false), 0)).filter(|e| e.is_finite());
+        let with = if effects.is_empty() { None } else { error(accepted) };
+        let of = |effect: usize| {
+            let without = accepted.without(model, |_, t| t.effect == effect, 15)?;
+            Some(EffectAblation {
+                id: model.catalogue()[effect].id.to_owned(),
+                misfit_ratio: (without.fit.ssr / accepted.fit.ssr).sqrt(),
+                p_value: without.removal_p(&accepted.fit, &found.first_test.family),
+                left_out: with,
+                left_out_without: error(&without),
+            })
+        };
+        effects.into_iter().filter_map(of).collect()
     }
-}
-
-/// `sealed` with the quantities that no sealed reading shows (contacts, where no sealed pose has a picture), left out in turn.
-pub fn fill_from_cross_validation<M: SessionModel>(
-    model: &M,
-    mut sealed: Errors,
-    in_turn: impl FnOnce() -> Errors,
-) -> Errors {
-    let missing: Vec<&Quantity> = model.quantities().iter().filter(|q| !sealed.shows(q.key)).collect();
-    if missing.is_empty() {
-        return sealed;
-    }
-    let in_turn = in_turn();
-    for (to, from) in [(&mut sealed.before, &in_turn.before), (&mut sealed.after, &in_turn.after)] {
-        let (Some(to), Some(from)) = (to, from) else { continue };
-        for key in missing.iter().map(|q| q.key) {
-            to.rmse.extend(from.rmse.get(key).map(|v| (key.to_owned(), *v)));
-            to.interval95.extend(from.interval95.get(key).map(|v| (key.to_owned(), *v)));
-        }
-    }
-    let keys: Vec<&str> = missing.iter().map(|q| q.key).filter(|k| in_turn.shows(k)).collect();
-    if !keys.is_empty() {
-        sealed.remark = format!(
-            "{} No sealed reading shows {}: it is {}.",
-            sealed.remark,
-            keys.join(", "),
-            in_turn.words
-        );
-    }
-    sealed
 }
 
 /// Errors on what each fold leaves out, where nothing was sealed. Every fold chooses anew among the refitted explanations, unless one was
@@ -124,27 +98,20 @@ pub fn fill_from_cross_validation<M: SessionModel>(
 pub fn cross_validate<M: SessionModel>(
     model: &M,
     found: &SearchResult,
-    conclusion: &Conclusion,
-    unsealed: &Unsealed<M::Predictions>,
+    accepted: &Hypothesis,
+    noise: &Noise,
     on_request: bool,
     seed: u64,
-) -> Errors {
-    let rivals: Vec<&Hypothesis> = if conclusion.accepted.fit.terms.is_empty() || on_request {
+) -> LeftOut {
+    let rivals: Vec<&Hypothesis> = if accepted.fit.terms.is_empty() || on_request {
         Vec::new()
     } else {
         std::iter::once(&found.base).chain(&found.refitted).collect()
     };
-    let folds = model.folds(&conclusion.accepted);
-    let leave = LeaveOut {
-        model,
-        found,
-        accepted: &conclusion.accepted,
-        noise: &unsealed.noise,
-        folds: &folds,
-        every: false,
-    };
+    let folds = model.folds(accepted);
+    let leave = LeaveOut { model, found, accepted, noise, folds: &folds, every: false };
     let sum = |rows: &[HeldOut]| summarise(rows, model.quantities(), folds.split, seed);
-    let after = leave.errors(&conclusion.accepted, &rivals, false);
+    let after = leave.errors(accepted, &rivals, false);
     let repaired = leave.errors(&found.base, &[], false);
     let by_twin = leave.errors(&found.base, &[], true);
     let mut further = Vec::new();
@@ -155,35 +122,36 @@ pub fn cross_validate<M: SessionModel>(
     }
     let declared = if by_twin.is_empty() { &repaired } else { &by_twin };
     let counted: Vec<usize> = (0..folds.fold.len())
-        .filter(|&i| folds.fold[i].is_some() && conclusion.accepted.weights.counts(i))
+        .filter(|&i| folds.fold[i].is_some() && accepted.weights.counts(i))
         .collect();
     // A model that ignores readings is judged on them, too: as a second number beside the error of those that count.
     let ignored =
-        (0..folds.fold.len()).any(|i| folds.fold[i].is_some() && !conclusion.accepted.weights.counts(i));
+        (0..folds.fold.len()).any(|i| folds.fold[i].is_some() && !accepted.weights.counts(i));
     if ignored
-        && let Some(e) = sum(&LeaveOut { every: true, ..leave }.errors(&conclusion.accepted, &rivals, false))
+        && let Some(e) = sum(&LeaveOut { every: true, ..leave }.errors(accepted, &rivals, false))
     {
         further.push((format!("accepted model on all {} readings, flagged ones among them", e.points), e));
     }
-    Errors {
+    let errors = Errors {
         before: sum(declared),
         after: sum(&after),
         coverage95: coverage95(&after),
         further,
         trimmed: None,
         shared: None,
-        noise_ratio: noise_ratio(model, &unsealed.noise, &counted),
+        noise_ratio: noise_ratio(model, noise, &counted),
         words: folds.words.clone(),
         remark: format!(
             " Cross-validation {}: selection and fit used only the remaining readings.",
             folds.words
         ),
-    }
+    };
+    LeftOut { errors, folds }
 }
 
 /// Noise of `readings` over that of a typical one of them: root mean square over median. Where it differs from reading to reading, an error
 /// over all of them lies above a typical reading's by this.
-fn noise_ratio<M: SessionModel>(model: &M, noise: &Noise, readings: &[usize]) -> f64 {
+pub(super) fn noise_ratio<M: SessionModel>(model: &M, noise: &Noise, readings: &[usize]) -> f64 {
     let all = noise.reading_sd(&model.noise_inputs());
     let typical = median(readings.iter().map(|&i| all[i])).unwrap_or(1.0);
     let square = readings.iter().map(|&i| all[i].powi(2)).sum::<f64>() / readings.len().max(1) as f64;

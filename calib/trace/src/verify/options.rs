@@ -1,17 +1,17 @@
-//! Settings of `verify`.
+//! What is asked of `verify`.
 
 use crate::method::options::Options;
-use wcal_core::Seal;
+use wcal_core::Ledger;
 
-/// Settings of `verify`.
+/// A request to verify a session.
 #[derive(Clone, Default)]
-pub struct VerifyOptions {
+pub struct VerifyRequest {
     /// Settings of the search.
     pub search: Options,
     /// Effects of a surviving explanation to be accepted; empty leaves the choice to the verdict.
     pub accept: Vec<String>,
-    /// Effects that another measurement of the instrument refutes: they are not searched for.
-    pub refuted: Vec<String>,
-    /// What is known of the sealed files.
-    pub seal: Seal,
+    /// Hashes of calibrations that are judged on the sealed readings, too.
+    pub claims: Vec<String>,
+    /// Where it is written down that the holdout is opened.
+    pub ledger: Ledger,
 }

@@ -1,12 +1,12 @@
 //! What the procedure asks of a kind of session: its measurement model, in the words of its catalogue.
 
 use crate::measurement_model::MeasurementModel;
-use crate::method::explain::{Explained, explain};
+use crate::method::options::Options;
 use crate::method::fit::Weights;
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::lack_of_fit::LackOfFit;
 use crate::method::noise::Noise;
-use crate::verify::options::VerifyOptions;
+use crate::verify::evidence::Explained;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::Role;
 use wcal_core::verify_document::{
@@ -110,6 +110,8 @@ pub trait SessionModel: SessionText + Sized {
     type Row;
     /// Predictions at every reading.
     type Predictions;
+    /// The accepted model as a calibration keeps it.
+    type Calibration;
 
     /// From the noise in the engine's channels to that of a measured value: mean of the channels.
     fn noise_factor(&self) -> f64 {
@@ -124,11 +126,17 @@ pub trait SessionModel: SessionText + Sized {
     fn twin_faults(&self) -> Vec<TwinFault> {
         Vec::new()
     }
-    /// Noise and explanation, and the model as the noise makes it (channels decorrelated, spread known).
-    fn explain(self, options: &VerifyOptions) -> Option<(Self, Explained)> {
-        let explained = explain(&self, &options.search)?;
-        Some((self, explained))
+    /// The instrument as the declared model shows it before anything is searched; `declared` fits that.
+    fn prepared(self, _declared: &dyn Fn(&Self) -> Option<Hypothesis>) -> Option<Self> {
+        Some(self)
     }
+    /// The instrument as the accepted model shows it: how channels mix, how clocks lie, how good pictures are, how the spread follows the stimulus.
+    /// None where that is what it is taken for, within its uncertainty.
+    fn renewed(&self, accepted: &Hypothesis, seed: u64) -> Option<Self>;
+    /// The same without effects that a witness refutes, by identifier.
+    fn without(&self, refuted: &[String]) -> Self;
+    /// What is no law of the catalogue and is asked for by repeats alone (a table of errors) in the place of what was found.
+    fn complete(&self, _explained: &mut Explained, _options: &Options) {}
     /// A law of the noise that is an effect of the catalogue.
     fn noise_effect(&self) -> Option<NamedEffect> {
         None
@@ -179,6 +187,15 @@ pub trait SessionModel: SessionText + Sized {
     fn useless(&self, _accepted: &Hypothesis) -> Option<String> {
         None
     }
+    /// The calibration of `accepted` under its noise, `base` the declared model and `floor_sd` the floor of a reading in the sensor's unit.
+    fn calibration(
+        &self,
+        base: &Hypothesis,
+        accepted: &Hypothesis,
+        noise: &Noise,
+        floor_sd: f64,
+        seed: u64,
+    ) -> Self::Calibration;
     /// The declared model on the labels of an outside twin, where there are some, fitted with these weights.
     fn by_outside_twin(&self, _weights: &Weights) -> Option<Self::Predictions> {
         None

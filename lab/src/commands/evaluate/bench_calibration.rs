@@ -22,7 +22,7 @@ pub fn calibrate(folder: &Path, seed: u64) -> anyhow::Result<BenchCalibration> {
     let map = CalibrationModel::Map(fit_map(&training, &options)?.artefact);
     let results = folder.with_file_name("verify");
     let mut out = OutputFolder::open(&verify::RESULT, &results, false)?;
-    let report = verify_session(&session, &mut out, verify::searching(seed, None), None, None)?;
+    let report = verify_session(session, &mut out, verify::searching(seed, None), None, None)?;
     out.finish()?;
     let calibration = results.join("calibration.json");
     let verified = if calibration.exists() { Some(read_calibration(&calibration)?.model) } else { None };

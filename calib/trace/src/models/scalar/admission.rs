@@ -25,11 +25,7 @@ pub(super) fn refusal(
     if rows.len() < MIN_ROWS {
         return Some(format!("{} readings; at least {MIN_ROWS} are needed", rows.len()));
     }
-    let not_finite = |rows: &[ScalarRow]| {
-        let bad = rows.iter().find(|r| !r.x.is_finite() || !r.y.is_finite())?;
-        Some(format!("reading {} of {} is not a finite number", bad.origin.2, bad.origin.0))
-    };
-    if let Some(why) = not_finite(rows).or_else(|| sealed.refusal(not_finite)) {
+    if let Some(why) = not_finite(rows, &()).or_else(|| sealed.refusal(&(), not_finite)) {
         return Some(why);
     }
     let mut x: Vec<f64> = rows.iter().map(|r| r.x).collect();
@@ -43,11 +39,21 @@ pub(super) fn refusal(
             )),
         );
     }
-    let timed = |r: &ScalarRow| Some(vec![r.t_s?, r.x, r.y]);
     clock_fault(rows.iter().map(|r| r.t_s))
-        .or_else(|| sealed.refusal(|sealed| sealed_in_fit(rows.iter().map(timed), sealed.iter().map(timed))))
+        .or_else(|| {
+            sealed.refusal(rows, |sealed, rows| {
+                let timed = |r: &ScalarRow| Some(vec![r.t_s?, r.x, r.y]);
+                sealed_in_fit(rows.iter().map(timed), sealed.iter().map(timed))
+            })
+        })
         .or_else(|| constant_response(rows, declared))
         .or_else(|| mistyped(rows, declared).map(|why| declared.format_text(&why)))
+}
+
+/// The first reading that is no number.
+fn not_finite(rows: &[ScalarRow], (): &()) -> Option<String> {
+    let bad = rows.iter().find(|r| !r.x.is_finite() || !r.y.is_finite())?;
+    Some(format!("reading {} of {} is not a finite number", bad.origin.2, bad.origin.0))
 }
 
 /// One value throughout, where the declared model follows the stimulus.

@@ -2,7 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wcal_core::Sealed;
+use wcal_core::{Sealed, SealedRows};
 use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
 
 /// Session of one of the two scalar kinds.
@@ -105,11 +105,12 @@ impl ScalarData<'_> {
         }
     }
 
-    /// Rows of the sealed table, still sealed.
-    pub fn sealed(&self) -> Sealed<ScalarRow> {
-        match self {
-            Self::Transducer(d) => d.holdout.map(|row| row.into()),
-            Self::Axis(d) => d.holdout.map(|row| row.into()),
+    /// Rows of the session's sealed table in this form, still sealed; none of another kind of session.
+    pub fn sealed(rows: SealedRows) -> Sealed<ScalarRow> {
+        match rows {
+            SealedRows::Transducer(rows) => rows.convert(|row| (&row).into()),
+            SealedRows::Axis(rows) => rows.convert(|row| (&row).into()),
+            SealedRows::Whisker(_) => Sealed::default(),
         }
     }
 

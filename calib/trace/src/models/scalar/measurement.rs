@@ -3,24 +3,27 @@
 use super::effects::{ERROR_TABLE, HETEROSCEDASTIC_NOISE};
 use super::floor::{noise_floor, replicate_keys};
 use super::frame::Declared;
+use super::model::ScalarModel;
 use super::parameters::{self, of_effect};
+use super::polynomial::{Polynomial, polynomial};
 use super::predictions::{Fitted, Grouping, folds, follows_neighbours, predict};
-use super::spread_trend::explain_session;
+use super::spread_trend::with_spread_of;
 use super::stationarity::{UNSTEADY, stationarity};
 use super::system::ScalarSystem;
-use super::table::{deviations, has_table};
+use super::table::{deviations, has_table, in_place_of_laws};
 use super::usable::{inapplicable, insensitive};
 use super::{ScalarRow, next};
+use crate::effect::EffectTerm;
 use crate::error::TraceError;
 use crate::measurement_model::MeasurementModel;
-use crate::method::explain::Explained;
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::lack_of_fit::{LackOfFit, lack_of_fit};
 use crate::method::noise::Noise;
 use crate::method::noise::spread::SpreadLaw;
 use crate::method::omnibus::CATALOGUE_LEVEL;
+use crate::method::options::Options;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
-use crate::verify::{HeldOut, SessionModel, SessionText, VerifyOptions};
+use crate::verify::{Explained, HeldOut, SessionModel, SessionText};
 use nalgebra::DVector;
 use wcal_core::ResidualRecord;
 use wcal_core::verify_document::{EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, UnknownEffect};
@@ -38,6 +41,25 @@ const PERIOD_RUNS_OVER: [&str; 4] = ["stimulus", "commanded_mm", "t_s", "order"]
 impl ScalarSystem {
     fn axis(&self) -> bool {
         self.frame.declared == Declared::Axis
+    }
+
+    /// The declared model as a polynomial in the stimulus (none for an axis), and the accepted one where it is one of higher degree.
+    pub(super) fn polynomials(&self, base: &Hypothesis, accepted: &Hypothesis) -> [Option<Polynomial>; 2] {
+        let x: Vec<f64> = self.frame.rows.iter().map(|r| r.x).collect();
+        let y: Vec<f64> = self.frame.rows.iter().map(|r| r.y).collect();
+        let of = |h: &Hypothesis, degree: usize| polynomial(&x, &y, h.weights.relative(), degree);
+        let Declared::Polynomial(declared) = self.frame.declared else { return [None, None] };
+        let richer = self.degree(declared, accepted).and_then(|d| of(accepted, d));
+        [of(base, declared), richer]
+    }
+
+    /// Degree of the polynomial that the accepted effects make of the declared one.
+    fn degree(&self, declared: usize, accepted: &Hypothesis) -> Option<usize> {
+        let degree = |t: &EffectTerm| self.effects()[t.effect].degree;
+        let mut powers: Vec<usize> = accepted.fit.terms.iter().map(degree).collect::<Option<_>>()?;
+        powers.sort_unstable();
+        let wanted: Vec<usize> = (declared + 1..=declared + powers.len()).collect();
+        (powers == wanted && !powers.is_empty()).then_some(declared + powers.len())
     }
 
     /// Splits what a fit leaves by its replicates.
@@ -111,6 +133,7 @@ impl SessionText for ScalarSystem {
 impl SessionModel for ScalarSystem {
     type Row = ScalarRow;
     type Predictions = ScalarPredictions;
+    type Calibration = ScalarModel;
 
     fn origin(&self, reading: usize) -> Origin {
         let row = &self.frame.rows[reading];
@@ -125,8 +148,16 @@ impl SessionModel for ScalarSystem {
         of_effect(self, &h.fit, effect, self.names())
     }
 
-    fn explain(self, options: &VerifyOptions) -> Option<(Self, Explained)> {
-        explain_session(self, options)
+    fn renewed(&self, accepted: &Hypothesis, seed: u64) -> Option<Self> {
+        with_spread_of(self, accepted, seed)
+    }
+
+    fn without(&self, _refuted: &[String]) -> Self {
+        self.clone()
+    }
+
+    fn complete(&self, explained: &mut Explained, options: &Options) {
+        in_place_of_laws(self, explained, options);
     }
 
     fn noise_effect(&self) -> Option<NamedEffect> {
@@ -239,6 +270,22 @@ impl SessionModel for ScalarSystem {
             Grouping::Stimuli
         };
         folds(&self.frame, grouping)
+    }
+
+    fn calibration(
+        &self,
+        base: &Hypothesis,
+        accepted: &Hypothesis,
+        noise: &Noise,
+        _floor_sd: f64,
+        _seed: u64,
+    ) -> ScalarModel {
+        let lack = [base, accepted].map(|h| self.pure_error(h));
+        // Where the fit takes its readings for independent, its variance holds what they share already.
+        let shared = accepted.weights.shared().map_or(0.0, |_| noise.shared_variance());
+        let [declared, richer] = self.polynomials(base, accepted);
+        let polynomial = richer.or(declared.filter(|_| accepted.fit.terms.is_empty()));
+        ScalarModel::of(self, accepted, self.spread(), shared, self.names(), polynomial, lack)
     }
 
     fn useless(&self, accepted: &Hypothesis) -> Option<String> {

@@ -55,6 +55,8 @@ pub struct ScalarSystem {
     sealed: Vec<bool>,
     /// Trend of the spread, where one was found.
     spread: Option<Spread>,
+    /// A trend was found and did not outlive the effects that were found with it.
+    given_up_spread: bool,
     /// The axis's known part enters with this far offset, see `design`.
     offset: f64,
 }
@@ -88,6 +90,7 @@ impl ScalarSystem {
             points: Arc::new(frame.rows.clone()),
             sealed: vec![false; n],
             spread: None,
+            given_up_spread: false,
             frame,
             catalogue: effects.iter().map(|e| e.effect.clone()).collect(),
             effects,
@@ -143,8 +146,13 @@ impl ScalarSystem {
     /// The same rows with equal noise.
     pub fn without_spread(mut self) -> Self {
         self.weights.fill(1.0);
-        self.spread = None;
+        self.given_up_spread |= self.spread.take().is_some();
         self
+    }
+
+    /// Whether a trend of the spread was given up.
+    pub(super) fn has_given_up_spread(&self) -> bool {
+        self.given_up_spread
     }
 
     /// The effects with their hooks.

@@ -6,7 +6,7 @@ use super::parameters::covariance;
 use super::system::ScalarSystem;
 use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
-use crate::method::explain::{Explained, noise_for_predictions};
+use crate::method::noise_estimator::noise_for_predictions;
 use crate::method::fit::{Fit, Status, fit};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::t95;
@@ -14,7 +14,7 @@ use crate::method::min_p::{f_test, signature_p};
 use crate::method::omnibus::{CATALOGUE_LEVEL, LACK_OF_FIT_LEVEL, OmnibusTest, omnibus_test};
 use crate::method::options::Options;
 use crate::method::signature::Signature;
-use crate::verify::VerifyOptions;
+use crate::verify::Explained;
 use nalgebra::DVector;
 use wcal_core::verify_document::EffectParameter;
 
@@ -28,21 +28,17 @@ pub fn has_table(system: &ScalarSystem, h: &Hypothesis) -> bool {
     h.fit.terms.iter().any(|t| Some(t.effect) == index(system))
 }
 
-/// Takes the table in place of an explanation that repeats contradict; true where it did.
-pub(super) fn in_place_of_laws(
-    system: &ScalarSystem,
-    explained: &mut Explained,
-    options: &VerifyOptions,
-) -> bool {
+/// Takes the table in place of an explanation that repeats contradict.
+pub(super) fn in_place_of_laws(system: &ScalarSystem, explained: &mut Explained, options: &Options) {
     let found = &explained.found;
     let contradicted = |h: &Hypothesis| system.pure_error(h).is_some_and(|l| l.p_value < LACK_OF_FIT_LEVEL);
-    let Some(effect) = index(system).filter(|&e| system.not_observable(e).is_none()) else { return false };
+    let Some(effect) = index(system).filter(|&e| system.not_observable(e).is_none()) else { return };
     if system.frame.declared != Declared::Axis || explained.exact || !contradicted(found.accepted()) {
-        return false;
+        return;
     }
-    let Some(table) = table(system, effect, &found.base) else { return false };
-    let (table, last_test) = extended(system, table, &found.base, &options.search);
-    if let Some(noise) = noise_for_predictions(system, &table, options.search.seed) {
+    let Some(table) = table(system, effect, &found.base) else { return };
+    let (table, last_test) = extended(system, table, &found.base, options);
+    if let Some(noise) = noise_for_predictions(system, &table, options.seed) {
         explained.noise = noise;
     }
     let found = &mut explained.found;
@@ -50,7 +46,6 @@ pub(super) fn in_place_of_laws(
     found.survivors = vec![table.clone()];
     found.refitted = vec![table.clone()];
     (found.best, found.last_test) = (table, last_test);
-    true
 }
 
 /// Refit of `terms` with every reading that the declared model counts.

@@ -1,19 +1,19 @@
 //! `verify` for kinds "transducer" and "axis": admission of the data, the procedure, and what reports and calibration need of it.
 
 use super::admission::{clock_fault, number, refusal, thin};
-use super::frame::{Declared, Frame, ScalarData, Scaling};
+use super::frame::{Declared, Frame, ScalarData, ScalarRow, Scaling};
 use super::model::ScalarModel;
 use super::parameters::Names;
-use super::polynomial::{Polynomial, polynomial};
+use super::polynomial::Polynomial;
 use super::spread_trend::weak_trend;
 use super::stationarity::{Stationarity, stationarity};
 use super::system::ScalarSystem;
 use crate::error::TraceError;
-use crate::method::hypothesis::{Evidence, Hypothesis};
+use crate::method::hypothesis::RankedHypothesis;
 use crate::method::lack_of_fit::LackOfFit;
 use crate::method::noise::spread::Spread;
-use crate::verify::{Verification, VerifyOptions, verify};
-use wcal_core::Unsealing;
+use crate::verify::{Verification, VerifyRequest, verify};
+use wcal_core::Sealed;
 use wcal_core::residual::ResidualRecord;
 use wcal_core::verify_document::VerifyDocument;
 
@@ -40,25 +40,11 @@ pub struct ScalarVerification {
     /// Residual standard deviations of the declared and the accepted model.
     pub residual_sd: [f64; 2],
     /// Explanations that were refitted, best first.
-    pub evidence: Vec<Evidence>,
+    pub evidence: Vec<RankedHypothesis>,
     /// The omnibus test's families (catalogue, generic, serial) on the declared and on the best model; none where the data were refused.
     pub gates: Option<[[f64; 3]; 2]>,
     /// Every reading of the session, unsealed ones among them; none where the data were refused.
     pub whole: Option<ScalarSystem>,
-    /// Record of the unsealing; none where nothing was sealed.
-    pub unsealing: Option<Unsealing>,
-}
-
-/// Degree of the polynomial that the accepted effects make of the declared one.
-fn degree(system: &ScalarSystem, accepted: &Hypothesis) -> Option<usize> {
-    let Declared::Polynomial(declared) = system.frame.declared else { return None };
-    let mut powers: Vec<usize> = Vec::new();
-    for t in &accepted.fit.terms {
-        powers.push(system.effects()[t.effect].degree?);
-    }
-    powers.sort_unstable();
-    let wanted: Vec<usize> = (declared + 1..=declared + powers.len()).collect();
-    (powers == wanted && !powers.is_empty()).then_some(declared + powers.len())
 }
 
 /// A session whose data cannot be used.
@@ -78,7 +64,6 @@ fn refused(session: &str, data: ScalarData<'_>, seed: u64, why: &str) -> ScalarV
         evidence: Vec::new(),
         gates: None,
         whole: None,
-        unsealing: None,
     }
 }
 
@@ -89,67 +74,54 @@ fn refused(session: &str, data: ScalarData<'_>, seed: u64, why: &str) -> ScalarV
 pub fn verify_scalar(
     session: &str,
     data: ScalarData<'_>,
-    options: &VerifyOptions,
+    sealed: Sealed<ScalarRow>,
+    request: &VerifyRequest,
 ) -> Result<ScalarVerification, TraceError> {
-    let (mut points, sealed, declared) = (data.rows(), data.sealed(), data.declared());
+    let (mut points, declared) = (data.rows(), data.declared());
     let clock = clock_fault(points.iter().map(|r| r.t_s));
     number(&mut points);
     let rows = thin(points.clone());
     let scaling = Scaling { count: points.len(), ..Scaling::of(&rows) };
     let scaling = if declared == Declared::Axis { scaling.with_places(&rows) } else { scaling };
     if let Some(why) = clock.or_else(|| refusal(&rows, &sealed, &scaling, declared)) {
-        return Ok(refused(session, data, options.search.seed, &why));
+        return Ok(refused(session, data, request.search.seed, &why));
     }
     let (stimulus, response) = data.units();
     let names = Names { stimulus, response, covariates: data.covariate_names() };
-    let model = ScalarSystem::new(Frame::new(rows, &scaling, declared), &names.covariates)
-        .of_session(names.clone(), points);
-    let v = verify(model, &sealed, options)?;
-    Ok(with_coefficients(session, v, &names, options))
+    let model =
+        ScalarSystem::new(Frame::new(rows, &scaling, declared), &names.covariates).of_session(names, points);
+    let v = verify(model, sealed, &[], request)?;
+    Ok(for_report(session, v, request))
 }
 
-/// Adds the coefficients in the stimulus as measured, and what a report shows.
-fn with_coefficients(
+/// What a report shows of a verification.
+fn for_report(
     session: &str,
     v: Verification<ScalarSystem>,
-    names: &Names,
-    options: &VerifyOptions,
+    request: &VerifyRequest,
 ) -> ScalarVerification {
-    let Verification { mut document, model: system, explained, conclusion, unsealed, .. } = v;
-    let (found, accepted) = (explained.found, conclusion.accepted);
-    document.session = session.to_owned();
+    let mut document = VerifyDocument { session: session.to_owned(), ..v.document() };
+    let system = v.decision.model();
+    let (found, accepted) = (&v.decision.explained().found, &v.decision.conclusion().accepted);
     if system.spread().is_none() {
-        let remark = weak_trend(&system, &accepted, options);
+        let remark = weak_trend(system, accepted, request.search.seed);
         document.notes.extend(remark.map(|note| system.frame.declared.format_text(&note)));
     }
-    let x: Vec<f64> = system.frame.rows.iter().map(|r| r.x).collect();
-    let y: Vec<f64> = system.frame.rows.iter().map(|r| r.y).collect();
-    let of_degree = |h: &Hypothesis, degree: usize| polynomial(&x, &y, h.weights.relative(), degree);
-    let declared = match system.frame.declared {
-        Declared::Polynomial(degree) => of_degree(&found.base, degree),
-        Declared::Axis => None,
-    };
-    let richer = degree(&system, &accepted).and_then(|d| of_degree(&accepted, d));
-    let plain = declared.clone().filter(|_| accepted.fit.terms.is_empty());
-    let lack = [&found.base, &accepted].map(|h| system.pure_error(h));
-    // Where the fit takes its readings for independent, its variance holds what they share already.
-    let shared = accepted.weights.shared().map_or(0.0, |_| unsealed.noise.shared_variance());
-    let calibration =
-        ScalarModel::of(&system, &accepted, system.spread(), shared, names, richer.clone().or(plain), lack);
+    let [declared, richer] = system.polynomials(&found.base, accepted);
+    let lack = [&found.base, accepted].map(|h| system.pure_error(h));
     ScalarVerification {
         document,
-        residuals: v.residuals,
+        residuals: v.assessment.residuals,
         declared,
         accepted: richer,
-        model: Some(calibration),
+        model: Some(v.decision.calibration().clone()),
         lack_of_fit_before: lack[0],
         lack_of_fit_after: lack[1],
         spread: system.spread().cloned(),
-        stationarity: stationarity(&system, &accepted),
+        stationarity: stationarity(system, accepted),
         residual_sd: [found.base.fit.variance().sqrt(), accepted.fit.variance().sqrt()],
         gates: Some([found.first_test.p_values(), found.last_test.p_values()]),
-        evidence: found.evidence,
-        whole: Some(v.whole),
-        unsealing: v.unsealing,
+        evidence: found.evidence.clone(),
+        whole: Some(v.assessment.whole),
     }
 }

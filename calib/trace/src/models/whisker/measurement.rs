@@ -11,15 +11,14 @@ use super::system::WhiskerSystem;
 use super::twin_check::{check_labels, labelled_moments};
 use crate::error::TraceError;
 use crate::measurement_model::MeasurementModel;
-use crate::method::explain::{Explained, explain};
+use crate::method::noise_estimator::noise_for_predictions;
 use crate::method::fit::{Fit, Weights};
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::inference::{self, NORMAL_95};
 use crate::method::noise::Noise;
 use crate::method::omnibus::COVARIATE_LEVEL;
-use crate::method::search::declared;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
-use crate::verify::{HeldOut, SessionModel, SessionText, VerifyOptions};
+use crate::verify::{HeldOut, SessionModel, SessionText};
 use nalgebra::Vector2;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::WhiskerRow;
@@ -31,8 +30,6 @@ use wcal_core::verify_document::{
 const WHITENING_CHANGED: f64 = 1.1;
 /// Change of the stage's clock from which the search is made again, s.
 const CLOCK_CHANGED_S: f64 = 2e-4;
-/// Searches under another weight of the pictures.
-const MAX_RESCALED: usize = 3;
 /// Ratio of the pictures' scatter to what they state from which the statement is not believed: chance reaches 1.2 with 27 pairs.
 const OVERSTATED: f64 = 1.25;
 /// No pair is believed to be better than this share of what it states.
@@ -92,7 +89,7 @@ impl SessionText for WhiskerSystem {
 
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
         let mut notes = vec!["Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned()];
-        notes.extend(model_error(self, found));
+        notes.extend(model_error(found));
         notes.extend(unsteady(self));
         notes.extend(clock(self));
         notes.extend(self.second_witness(found, accepted).map(|s| witness_note(&s)));
@@ -104,6 +101,7 @@ impl SessionText for WhiskerSystem {
 impl SessionModel for WhiskerSystem {
     type Row = WhiskerRow;
     type Predictions = Predictions;
+    type Calibration = PhysicalModel;
 
     fn noise_factor(&self) -> f64 {
         Self::noise_factor(self)
@@ -122,45 +120,37 @@ impl SessionModel for WhiskerSystem {
         check_labels(&self.data, &self.path, &self.rod_tables).faults
     }
 
-    fn explain(self, options: &VerifyOptions) -> Option<(Self, Explained)> {
-        let known = Weights::independent(self.noise_inputs().own(0.0));
-        let base = declared(&self, &known, options.search.seed)?;
+    fn prepared(self, declared: &dyn Fn(&Self) -> Option<Hypothesis>) -> Option<Self> {
+        let base = declared(&self)?;
         let system = self.whitened(&base.fit);
         let set_s = stage_clock::aligned(&system, &base, false);
         let system = system.with_stage_clock(set_s);
-        let system = match system.pictures() {
-            Some(_) => {
-                let base = declared(&system, &known, options.search.seed)?;
-                weighed(system.clone(), &base.fit, &system)
-            }
-            None => system,
-        };
-        let mut explained = explain(&system, &options.search)?;
-        // An effect that was not declared hides how much noise the channels share, and how good the pictures are beside it.
-        let mut system = system;
-        let again_at_most =
-            if system.pictures().is_some() || system.is_read_in_motion() { MAX_RESCALED } else { 1 };
-        for _ in 0..again_at_most {
-            let fit = &explained.found.accepted().fit;
-            let whitened = system.clone().whitened(fit);
-            let again = weighed(whitened, fit, &system);
-            let own = |s: &WhiskerSystem| s.pictures().map_or(1.0, Pictures::own_share);
-            let lagged = fit.terms.iter().any(|t| is_lag(&system, t.effect));
-            let set_s = stage_clock::aligned(&again, explained.found.accepted(), lagged);
-            let again = again.with_stage_clock(set_s);
-            let moved = (set_s - system.stage_clock_s()).abs() > CLOCK_CHANGED_S;
-            let changes = [
-                again.whitening_change(&system),
-                ratio(again.picture_scale(), system.picture_scale()),
-                ratio(own(&again), own(&system)),
-            ];
-            if !moved && changes.iter().all(|c| *c <= WHITENING_CHANGED) {
-                break;
-            }
-            explained = explain(&again, &options.search)?;
-            system = again;
+        if system.pictures().is_none() {
+            return Some(system);
         }
-        Some((system, explained))
+        let base = declared(&system)?;
+        Some(weighed(system.clone(), &base.fit, &system))
+    }
+
+    /// An effect that was not declared hides how much noise the channels share, and how good the pictures are beside it.
+    fn renewed(&self, accepted: &Hypothesis, _seed: u64) -> Option<Self> {
+        let fit = &accepted.fit;
+        let again = weighed(self.clone().whitened(fit), fit, self);
+        let own = |s: &Self| s.pictures().map_or(1.0, Pictures::own_share);
+        let lagged = fit.terms.iter().any(|t| is_lag(self, t.effect));
+        let set_s = stage_clock::aligned(&again, accepted, lagged);
+        let again = again.with_stage_clock(set_s);
+        let moved = (set_s - self.stage_clock_s()).abs() > CLOCK_CHANGED_S;
+        let changes = [
+            again.whitening_change(self),
+            ratio(again.picture_scale(), self.picture_scale()),
+            ratio(own(&again), own(self)),
+        ];
+        (moved || changes.iter().any(|c| *c > WHITENING_CHANGED)).then_some(again)
+    }
+
+    fn without(&self, refuted: &[String]) -> Self {
+        self.clone().without_effects(refuted)
     }
 
     fn floor(&self, h: &Hypothesis, noise: &Noise, left: bool) -> FloorStatement {
@@ -250,6 +240,21 @@ impl SessionModel for WhiskerSystem {
         }
     }
 
+    fn calibration(
+        &self,
+        _base: &Hypothesis,
+        accepted: &Hypothesis,
+        noise: &Noise,
+        floor_sd: f64,
+        seed: u64,
+    ) -> PhysicalModel {
+        let predicting = noise_for_predictions(self, accepted, seed);
+        let noise = predicting.as_ref().unwrap_or(noise);
+        PhysicalModel::new(self, accepted, floor_sd)
+            .with_correlated(noise, Self::noise_factor(self), self.path.columns.time)
+            .with_averaging(self, noise)
+    }
+
     fn by_outside_twin(&self, weights: &Weights) -> Option<Predictions> {
         by_labels(self, &labelled_moments(&self.data, &self.path)?, weights)
     }
@@ -322,28 +327,17 @@ fn witness_note(s: &SecondWitness) -> String {
     format!("{used}{gains}.")
 }
 
-/// What the readings ask for and what is left, where neither is beyond the model's own error.
-fn model_error(system: &WhiskerSystem, found: &SearchResult) -> Vec<String> {
-    let ids: Vec<&str> = found.within_model_error.iter().map(|&e| system.catalogue()[e].id).collect();
-    let dropped = (!ids.is_empty()).then(|| {
-        format!(
-            "Within model error: the fitted readings ask for {}, which lowers the error of trajectories left out by less than its uncertainty; not \
-             named.",
-            ids.join(", ")
-        )
-    });
+/// What is left, where it is not beyond the model's own error.
+fn model_error(found: &SearchResult) -> Option<String> {
     let test = &found.last_test;
     let driver =
-        test.covariates.first().filter(|_| test.within_model_error && test.p_covariates < COVARIATE_LEVEL);
-    let left = driver.map(|d| {
-        format!(
-            "Within model error: what is left follows {} ({}) and is {:.1} % of the misfit.",
-            d.covariate,
-            d.shape,
-            100.0 * d.gain / found.best.fit.ssr
-        )
-    });
-    dropped.into_iter().chain(left).collect()
+        test.covariates.first().filter(|_| test.within_model_error && test.p_covariates < COVARIATE_LEVEL)?;
+    Some(format!(
+        "Within model error: what is left follows {} ({}) and is {:.1} % of the misfit.",
+        driver.covariate,
+        driver.shape,
+        100.0 * driver.gain / found.best.fit.ssr
+    ))
 }
 
 /// Readings in motion that do not count.

@@ -118,11 +118,11 @@ impl WhiskerSystem {
             self.whitening,
         )
         .with_stage_clock(self.stage_clock_s)
-        .without(&self.refuted)
+        .without_effects(&self.refuted)
     }
 
     /// The same system without effects that another measurement of the instrument refutes, by identifier.
-    pub fn without(self, refuted: &[String]) -> Self {
+    pub fn without_effects(self, refuted: &[String]) -> Self {
         Self { refuted: refuted.into(), ..self }
     }
 

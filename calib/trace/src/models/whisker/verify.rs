@@ -7,14 +7,13 @@ use super::sensitivity;
 use super::system::WhiskerSystem;
 use super::twin_check::{LabelReport, check_labels};
 use crate::error::TraceError;
-use crate::method::explain::noise_for_predictions;
 use crate::method::hypothesis::SearchResult;
 use crate::scalar::admission::clock_fault;
 use crate::verify::sealed_in_fit::sealed_in_fit;
-use crate::verify::{Verification, VerifyOptions, verify};
+use crate::verify::{VerifyRequest, Witness, verify};
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
 use wcal_core::verify_document::{HeldOutError, VerifyDocument};
-use wcal_core::{InputFile, ResidualRecord, Unsealing};
+use wcal_core::{InputFile, ResidualRecord, Sealed};
 
 /// Everything that `verify` found.
 pub struct WhiskerVerification {
@@ -36,8 +35,8 @@ pub struct WhiskerVerification {
     pub branches: Vec<Branch>,
     /// Every reading of the session, unsealed ones among them.
     pub whole: WhiskerSystem,
-    /// Record of the unsealing; none where nothing was sealed.
-    pub unsealing: Option<Unsealing>,
+    /// The readings that were fitted.
+    pub open: WhiskerSystem,
 }
 
 /// A session's result, or why its data cannot be used.
@@ -52,7 +51,7 @@ pub enum Verified {
 const MIN_LOADED: usize = 9;
 
 /// Why the readings cannot be used at all.
-fn unusable(data: &WhiskerData) -> Option<String> {
+fn unusable(data: &WhiskerData, sealed: &Sealed<WhiskerRow>) -> Option<String> {
     let loaded = data.rows.iter().filter(|r| r.role != Role::Rest).count();
     if loaded < MIN_LOADED {
         return Some(format!(
@@ -62,11 +61,10 @@ fn unusable(data: &WhiskerData) -> Option<String> {
     if let Some(why) = clock_fault(data.rows.iter().map(|r| r.t_s)) {
         return Some(format!("The data cannot be used: {why}."));
     }
-    let timed = |r: &WhiskerRow| Some([&[r.t_s?, r.stage_mm?], &r.shift_pm[..]].concat());
-    let fitted = || data.rows.iter().filter(|r| r.role != Role::Rest).map(timed);
-    data.holdout.refusal(|rows| {
-        let sealed = rows.iter().filter(|r| r.sealed).map(timed);
-        Some(format!("{}.", sealed_in_fit(fitted(), sealed)?))
+    sealed.refusal(&data.rows[..], |sealed, fitted| {
+        let timed = |r: &WhiskerRow| Some([&[r.t_s?, r.stage_mm?], &r.shift_pm[..]].concat());
+        let fitted = fitted.iter().filter(|r| r.role != Role::Rest).map(timed);
+        Some(format!("{}.", sealed_in_fit(fitted, sealed.iter().filter(|r| r.sealed).map(timed))?))
     })
 }
 
@@ -77,43 +75,37 @@ fn unusable(data: &WhiskerData) -> Option<String> {
 pub fn verify_whisker(
     session: &str,
     data: &WhiskerData,
+    sealed: Sealed<WhiskerRow>,
     inputs: &[InputFile],
-    options: &VerifyOptions,
+    witnesses: &[&dyn Witness<WhiskerSystem>],
+    request: &VerifyRequest,
 ) -> Result<Verified, TraceError> {
     let refused = |reason: String| {
-        let mut document = VerifyDocument::refused(session, "whisker", reason, options.search.seed);
+        let mut document = VerifyDocument::refused(session, "whisker", reason, request.search.seed);
         document.inputs = inputs.to_vec();
         Ok(Verified::Refused(Box::new(document)))
     };
-    if let Some(reason) = unusable(data) {
+    if let Some(reason) = unusable(data, &sealed) {
         return refused(reason);
     }
     let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
-    let model = WhiskerSystem::new(data, &rows)?.without(&options.refuted);
+    let model = WhiskerSystem::new(data, &rows)?;
     if let Some(reason) = sensitivity::of_system(&model) {
         return refused(reason);
     }
-    let v = verify(model, &data.holdout, options).map_err(|e| e.of_session(session))?;
-    let Verification { mut document, model: system, whole, explained, conclusion, unsealed, .. } = v;
-    document.session = session.to_owned();
-    document.inputs = inputs.to_vec();
+    let v = verify(model, sealed, witnesses, request).map_err(|e| e.of_session(session))?;
+    let document = VerifyDocument { session: session.to_owned(), inputs: inputs.to_vec(), ..v.document() };
+    let open = v.decision.model();
     Ok(Verified::Done(Box::new(WhiskerVerification {
         document,
-        residuals: v.residuals,
-        labels: check_labels(data, &system.path, &system.rod_tables),
-        model: {
-            let noise = noise_for_predictions(&system, &conclusion.accepted, options.search.seed);
-            let (factor, clock) = (system.noise_factor(), system.path.columns.time);
-            let noise = noise.as_ref().unwrap_or(&unsealed.noise);
-            PhysicalModel::new(&system, &conclusion.accepted, v.floor_sd)
-                .with_correlated(noise, factor, clock)
-                .with_averaging(&system, noise)
-        },
-        further: v.errors.further,
-        predictions: [unsealed.before, unsealed.after],
-        branches: branches(&system),
-        found: explained.found,
-        unsealing: v.unsealing,
-        whole,
+        residuals: v.assessment.residuals,
+        labels: check_labels(data, &open.path, &open.rod_tables),
+        model: v.decision.calibration().clone(),
+        further: v.decision.left_out().errors.further.clone(),
+        predictions: [v.assessment.before, v.assessment.after],
+        branches: branches(open),
+        open: open.clone(),
+        whole: v.assessment.whole,
+        found: v.decision.into_explained().found,
     })))
 }

@@ -1,0 +1,28 @@
+//! What further measurements of the instrument say of the explanations.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// An explanation before a witness: a measurement of the same instrument with noise of its own.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+pub struct WitnessTest {
+    /// Identifier of the witness: `sweep`.
+    pub witness: String,
+    /// Effects of the explanation; empty for the declared model.
+    pub effects: Vec<String>,
+    /// Test statistic, chi-squared distributed where the explanation is right within its uncertainty.
+    pub statistic: f64,
+    /// Its degrees of freedom.
+    pub dof: f64,
+    /// Chance of a statistic as large.
+    #[schemars(range(min = 0, max = 1))]
+    pub p: f64,
+    /// Whether the witness refutes the explanation.
+    pub refuted: bool,
+    /// Size of what speaks against it: of a sweep the median distance of the nearest possible contact from the object.
+    pub magnitude: f64,
+    /// Unit of the magnitude.
+    pub unit: String,
+    /// In words.
+    pub sentence: String,
+}

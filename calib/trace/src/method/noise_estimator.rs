@@ -1,0 +1,139 @@
+//! Noise and explanation, each judged under the other.
+//!
+//! Noise that is correlated in time and an effect that is smooth in time take each other's place: the term fitted first absorbs the signal. What a
+//! search under independent readings finds must hold against the noise model that would take its place:
+//!
+//! ```text
+//! S(M) = min over theta of  r' r |Sigma(theta)|^(1/N)          (concentrated likelihood, every coefficient of M refitted)
+//! F = (S(without) / S(with) - 1) (N - p) / d                    judged within the family that was searched
+//! ```
+//!
+//! with the noise theta estimated anew on both sides.
+
+use super::fit::Weights;
+use super::hypothesis::Hypothesis;
+use super::min_p::{MinPDistribution, f_test};
+use super::noise::{CORRELATED_GAIN, CORRELATED_PRICE, MeanModel, Misfit, Noise, NoiseInputs, best_misfit, estimate};
+use super::omnibus::{COVARIATE_LEVEL, CovariateScore, OmnibusTest};
+use crate::measurement_model::MeasurementModel;
+
+/// Level at which an effect holds against the noise that would stand in its place. It has passed the level of the search already.
+const CONFIRM_LEVEL: f64 = 0.02;
+/// The same beside correlated noise: its time constant comes from a few stretches of the very readings, and a slow effect looks like it.
+const CONFIRM_BESIDE_CORRELATED: f64 = 1e-3;
+/// Generic drivers that are judged against correlated noise.
+const COVARIATES_JUDGED: usize = 10;
+/// Price of a law of the spread, in -2 log likelihood (Akaike).
+const LAW_PRICE: f64 = 2.0;
+
+/// Lead past which the p-value is 0 to any precision, and an exponential would be infinite.
+const MAX_LEAD: f64 = 300.0;
+
+/// Noise of an explanation's residuals for predictions of further readings: a correlated part is taken up where it predicts better (Akaike), not
+/// only where a verdict could rest on it.
+pub fn noise_for_predictions(system: &dyn MeasurementModel, h: &Hypothesis, seed: u64) -> Option<Noise> {
+    let judge = NoiseEstimator::new(system, seed).with_correlated_gain(CORRELATED_PRICE);
+    Some(judge.noise(h, &[])?.0)
+}
+
+/// Estimates the noise of an explanation's residuals.
+pub struct NoiseEstimator<'a> {
+    system: &'a dyn MeasurementModel,
+    pub(crate) inputs: NoiseInputs,
+    correlated_gain: f64,
+    seed: u64,
+}
+
+impl<'a> NoiseEstimator<'a> {
+    /// For a session.
+    pub fn new(system: &'a dyn MeasurementModel, seed: u64) -> Self {
+        Self { system, inputs: system.noise_inputs(), correlated_gain: CORRELATED_GAIN, seed }
+    }
+
+    /// The same where a part that is correlated in time is taken up from this gain on.
+    pub(crate) fn with_correlated_gain(self, correlated_gain: f64) -> Self {
+        Self { correlated_gain, ..self }
+    }
+
+    /// Noise of the residuals of `h`, with further columns where there are some, and how well the model can do under any noise.
+    pub fn noise(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<(Noise, Misfit)> {
+        let model = MeanModel::of(&h.fit).with(columns);
+        let noise = estimate(&model, &self.inputs, &h.weights, self.correlated_gain, self.seed)?;
+        let mut m = best_misfit(&model, &self.inputs, &noise)?;
+        // The second witness's covariance is known: its part of -2 log L is its sum of squares.
+        let seen = h.fit.witness_count as f64;
+        m.plain += h.fit.auxiliary_residual.norm_squared() / self.system.witness_variance();
+        (m.values, m.dof) = (m.values + seen, m.dof + seen);
+        Some((noise, m))
+    }
+
+    /// p-value of `with` against `without` (both with their own noise), judged in `family`.
+    fn p_value(&self, without: &(Noise, Misfit), with: &(Noise, Misfit), family: &MinPDistribution) -> f64 {
+        let (a, b) = (&without.1, &with.1);
+        // Both sides have had every shared part; a law of the spread is one parameter.
+        let law = |n: &Noise| if n.law.is_some() { LAW_PRICE } else { 0.0 };
+        let lead = (a.plain + law(&without.0) - b.plain - law(&with.0)) / a.values;
+        let extra = (a.dof - b.dof).max(1.0);
+        // Sums of squares in units of the better model's.
+        let worse = lead.min(MAX_LEAD).exp();
+        family.adjusted(f_test(worse - 1.0, worse, a.dof, extra as usize))
+    }
+
+    /// The effects of `best` that hold against the noise which would stand in their place, judged in `family`.
+    pub(crate) fn backward_eliminate(
+        &self,
+        best: &Hypothesis,
+        family: &MinPDistribution,
+    ) -> Option<Hypothesis> {
+        let mut best = best.clone();
+        while !best.fit.terms.is_empty() {
+            let with = self.noise(&best, &[])?;
+            let mut weakest: Option<(f64, Hypothesis)> = None;
+            for k in 0..best.fit.terms.len() {
+                let Some(without) = best.without(self.system, |j, _| j == k, 10) else { continue };
+                let p = self.p_value(&self.noise(&without, &[])?, &with, family);
+                if weakest.as_ref().is_none_or(|w| p > w.0) {
+                    weakest = Some((p, without));
+                }
+            }
+            let level = if with.0.correlated.is_some() { CONFIRM_BESIDE_CORRELATED } else { CONFIRM_LEVEL };
+            match weakest {
+                Some((p, without)) if p > level => best = without,
+                _ => break,
+            }
+        }
+        Some(best)
+    }
+
+    /// Generic drivers of what `h` leaves, by their likelihood with a noise of their own; none where none holds against the noise without.
+    pub(crate) fn covariate_scores(&self, h: &Hypothesis, test: &OmnibusTest) -> Option<Vec<CovariateScore>> {
+        let without = self.noise(h, &[])?;
+        let mut judged: Vec<(f64, CovariateScore)> = Vec::new();
+        for score in test.covariates.iter().take(COVARIATES_JUDGED) {
+            let Some(with) = self.noise(h, &score.columns) else { continue };
+            judged.push((self.p_value(&without, &with, &test.covariate_family), score.clone()));
+        }
+        judged.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let holds = judged.first().is_some_and(|d| d.0 < COVARIATE_LEVEL);
+        holds.then(|| judged.into_iter().map(|d| d.1).collect())
+    }
+}
+
+/// Whether two noise models whiten alike, within a quarter.
+pub(crate) fn same_whitening(a: &Weights, b: &Weights) -> bool {
+    let near = |x: f64, y: f64| (x - y).abs() <= 0.25 * x.max(y).max(0.2);
+    let shared = match (a.shared(), b.shared()) {
+        (None, None) => true,
+        (Some(p), Some(q)) => {
+            near(p.pose, q.pose)
+                && match (p.correlated, q.correlated) {
+                    (None, None) => true,
+                    (Some(p), Some(q)) => near(p[0], q[0]) && near(p[1].ln(), q[1].ln()),
+                    _ => false,
+                }
+        }
+        _ => false,
+    };
+    let (a, b) = (a.unmasked(), b.unmasked());
+    shared && a.relative().iter().zip(b.relative()).all(|(x, y)| near(*x, *y))
+}

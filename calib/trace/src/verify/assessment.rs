@@ -1,0 +1,298 @@
+//! One look at the sealed readings: do they agree with what was decided?
+//!
+//! ```text
+//! F = |L^-1 e|^2 / (n s^2),   L L' = C + J V J'         e: measured less predicted, C: noise in units of s^2, V: covariance of the parameters
+//! contradicted: P(F_{n, dof} > F) < alpha_k              look k of the same files: alpha_k = alpha / (k (k + 1))
+//! ```
+//!
+//! Prediction F test; Seber & Lee, "Linear Regression Analysis", 2nd ed., ch. 5. The decision cannot change by it: the sealed readings confirm it, do
+//! not contradict it, or veto its calibration. A reading is set aside only where both models put it beyond the limit that the open readings gave.
+
+use super::acceptance::{Unfit, far_above_floor};
+use super::decision::Decision;
+use super::error_summary::{coverage95, summarise};
+use super::held_out::{Errors, SharedNoise, noise_ratio};
+use super::refutation::refuted;
+use super::session_model::{HeldOut, Quantity, Record, SessionModel};
+use crate::error::TraceError;
+use crate::method::fit::{Weights, fit};
+use crate::method::hypothesis::Hypothesis;
+use crate::method::inference::covariance;
+use crate::method::linear::stack;
+use crate::method::noise::Noise;
+use crate::method::noise::tails::Tails;
+use nalgebra::DMatrix;
+use statrs::distribution::{ContinuousCDF, FisherSnedecor, Normal, StudentsT};
+use wcal_core::verify_document::{HoldoutJudgement, HoldoutOutcome};
+use wcal_core::{Look, ResidualRecord};
+
+/// Level of the check over all looks: the first has half of it. Far below the omnibus test's, since a memory effect's curvature is only
+/// linearised here.
+pub const HOLDOUT_LEVEL: f64 = 2e-4;
+/// Family-wise level of single held-out readings.
+const SINGLE_LEVEL: f64 = 1e-3;
+/// More of them than this share are no single readings; of fewer than ten none is.
+const MAX_SHARE: f64 = 0.1;
+
+/// What the sealed readings say of a decision, and every reading under both models.
+pub struct Assessment<M: SessionModel> {
+    /// The model at every reading, the sealed ones among them.
+    pub whole: M,
+    /// Every reading under the declared model.
+    pub before: M::Predictions,
+    /// Every reading under the accepted model.
+    pub after: M::Predictions,
+    /// Errors on the sealed readings; none where nothing that counts was sealed.
+    pub errors: Option<Errors>,
+    /// Sealed readings that both models put far outside the noise.
+    pub flagged: Vec<usize>,
+    /// What the sealed readings say.
+    pub holdout: HoldoutJudgement,
+    /// Residual records of every reading and channel.
+    pub residuals: Vec<ResidualRecord>,
+}
+
+/// Holds a decision against the rows that came out.
+///
+/// # Errors
+/// Where the rows cannot be modelled, or a model has no solution at them.
+pub fn assess<M: SessionModel>(
+    decision: &Decision<M>,
+    rows: &[M::Row],
+    look: Option<&Look>,
+) -> Result<Assessment<M>, TraceError> {
+    let whole = decision.model.whole(rows)?;
+    let (noise, base) = (&decision.noise, &decision.explained.found.base);
+    let accepted = &decision.conclusion.accepted;
+    let sd = noise.reading_sd(&whole.noise_inputs());
+    let at = |h: &Hypothesis| whole.predict(h, &sd).ok_or(TraceError::NoSolution);
+    let (before, after) = (at(base)?, at(accepted)?);
+    let flagged = flagged(&whole, [base, accepted], noise);
+    let counts = whole.scored().contains(&true);
+    let errors = counts.then(|| errors(&whole, [&before, &after], &flagged, noise, decision.seed));
+    let holdout = match (&errors, look) {
+        (Some(errors), Some(look)) => judgement(decision, &whole, [&before, &after], &flagged, errors, look),
+        _ => HoldoutJudgement::default(),
+    };
+    let residuals = residuals(decision, &whole, [&before, &after], &flagged);
+    Ok(Assessment { whole, before, after, errors, flagged, holdout, residuals })
+}
+
+/// Errors of the sealed readings that count.
+fn scored<M: SessionModel>(whole: &M, predictions: &M::Predictions, left_out: &[usize]) -> Vec<HeldOut> {
+    let counts = |i: &usize| whole.scored()[*i] && !left_out.contains(i);
+    (0..whole.scored().len()).filter(counts).map(|i| whole.errors(predictions, i)).collect()
+}
+
+/// Errors of both models on every sealed reading that counts, and without those that are set aside.
+fn errors<M: SessionModel>(
+    whole: &M,
+    [before, after]: [&M::Predictions; 2],
+    flagged: &[usize],
+    noise: &Noise,
+    seed: u64,
+) -> Errors {
+    let sum = |rows: &[HeldOut]| summarise(rows, whole.quantities(), "holdout", seed);
+    let rows = scored(whole, after, &[]);
+    let trimmed = |p: &M::Predictions| sum(&scored(whole, p, flagged));
+    let counted: Vec<usize> = (0..whole.scored().len()).filter(|&i| whole.scored()[i]).collect();
+    Errors {
+        before: sum(&scored(whole, before, &[])),
+        after: sum(&rows),
+        trimmed: (!flagged.is_empty()).then(|| [trimmed(before), trimmed(after)]),
+        noise_ratio: noise_ratio(whole, noise, &counted),
+        shared: Some(shared_noise(whole, flagged, noise)),
+        coverage95: coverage95(&rows),
+        ..Errors::default()
+    }
+}
+
+/// The one test that was fixed in advance, and whether the declared model fails on the readings that the accepted one predicts.
+fn judgement<M: SessionModel>(
+    decision: &Decision<M>,
+    whole: &M,
+    [before, after]: [&M::Predictions; 2],
+    flagged: &[usize],
+    errors: &Errors,
+    look: &Look,
+) -> HoldoutJudgement {
+    let (noise, accepted) = (&decision.noise, &decision.conclusion.accepted);
+    let p = holdout_p(whole, accepted, noise, flagged);
+    let level = look.level(HOLDOUT_LEVEL);
+    // The error without readings that are set aside, against what repeats differ by.
+    let trimmed = errors.trimmed.as_ref().map_or(errors.after.clone(), |[_, after]| after.clone());
+    let trimmed = Errors { after: trimmed, ..errors.clone() };
+    let far = far_above_floor(whole, accepted, &trimmed, &decision.floor);
+    let sd: Vec<f64> = noise.reading_sd(&whole.noise_inputs());
+    let counts = |i: &usize| whole.scored()[*i] && !flagged.contains(i);
+    let sd: Vec<f64> =
+        (0..sd.len()).filter(counts).map(|i| sd[i] * whole.noise_factor()).collect();
+    let of = |p: &M::Predictions| scored(whole, p, flagged);
+    let tells = || refuted(&of(after), &of(before), &sd);
+    let outcome = match p {
+        Some(p) if p < level => HoldoutOutcome::Contradicted,
+        _ if far.is_some() => HoldoutOutcome::Contradicted,
+        Some(_) if accepted.fit.terms.is_empty() || tells() => HoldoutOutcome::Confirmed,
+        _ => HoldoutOutcome::NotContradicted,
+    };
+    let unit = whole.quantities()[0].unit;
+    let why = match (outcome, far) {
+        (HoldoutOutcome::Contradicted, Some(far @ Unfit::FarAboveFloor(_))) => far.sentence(unit),
+        (HoldoutOutcome::Contradicted, _) => {
+            "The sealed readings contradict what the fitted readings allow: something acts there that they do not show.".to_owned()
+        }
+        (HoldoutOutcome::Confirmed, _) => "The sealed readings agree with the accepted model.".to_owned(),
+        _ => "The sealed readings do not contradict the accepted model, and do not tell it from the declared one.".to_owned(),
+    };
+    HoldoutJudgement { outcome, p, look: look.number, level: Some(level), decision_sha256: Some(look.decision_sha256.clone()), why }
+}
+
+/// `sealed` with the quantities that no sealed reading shows (contacts, where no sealed pose has a picture), left out in turn.
+pub fn filled<M: SessionModel>(model: &M, mut sealed: Errors, in_turn: &Errors) -> Errors {
+    let shown = |q: &&Quantity| !sealed.shows(q.key);
+    let missing: Vec<&str> = model.quantities().iter().filter(shown).map(|q| q.key).collect();
+    for (to, from) in [(&mut sealed.before, &in_turn.before), (&mut sealed.after, &in_turn.after)] {
+        let (Some(to), Some(from)) = (to, from) else { continue };
+        for key in &missing {
+            to.rmse.extend(from.rmse.get(*key).map(|v| ((*key).to_owned(), *v)));
+            to.interval95.extend(from.interval95.get(*key).map(|v| ((*key).to_owned(), *v)));
+        }
+    }
+    let keys: Vec<&str> = missing.into_iter().filter(|k| in_turn.shows(k)).collect();
+    if !keys.is_empty() {
+        let keys = keys.join(", ");
+        sealed.remark = format!(" No sealed reading shows {keys}: it is {}.", in_turn.words);
+    }
+    sealed
+}
+
+/// Measured less predicted at every reading of `whole`, in the engine's channels.
+fn residual<M: SessionModel>(whole: &M, h: &Hypothesis) -> Option<DMatrix<f64>> {
+    Some(whole.measured() - whole.design(&h.fit.terms)? * &h.fit.coefficients)
+}
+
+/// Sealed readings that no tails of the noise explain under any of `models`, as in the fit: single slips are no misfit.
+fn flagged<M: SessionModel>(whole: &M, models: [&Hypothesis; 2], noise: &Noise) -> Vec<usize> {
+    let rows: Vec<usize> = (0..whole.scored().len()).filter(|&i| whole.scored()[i]).collect();
+    if !(noise.repeat.value > 0.0) {
+        return Vec::new();
+    }
+    let Some(left) = models.iter().map(|h| residual(whole, h)).collect::<Option<Vec<_>>>() else {
+        return Vec::new();
+    };
+    let sd = noise.reading_sd(&whole.noise_inputs());
+    let tail = |x: f64| match noise.tails {
+        Some(t) if t.heaviest.is_finite() => {
+            let scaled = x * noise_scale(&t);
+            StudentsT::new(0.0, 1.0, t.heaviest).map_or(1.0, |d| 2.0 * d.sf(scaled))
+        }
+        _ => 2.0 * Normal::standard().sf(x),
+    };
+    let level = SINGLE_LEVEL / (whole.measured().ncols() * rows.len().max(1)) as f64;
+    let beyond = |i: &usize| left.iter().all(|r| tail(r.row(*i).amax() / sd[*i]) < level);
+    let out: Vec<usize> = rows.iter().copied().filter(beyond).collect();
+    if out.len() as f64 > MAX_SHARE * rows.len() as f64 { Vec::new() } else { out }
+}
+
+/// From standard deviations to the scale of the heaviest tails.
+fn noise_scale(tails: &Tails) -> f64 {
+    1.0 / tails.heaviest_scale.max(1e-3)
+}
+
+/// p-value of the held-out residuals under the accepted model and the upper ends of its noise's parts, parameter covariance included
+/// (prediction F test; Seber & Lee, "Linear Regression Analysis", 2nd ed., ch. 5). `left_out` are single readings that do not belong.
+pub fn holdout_p<M: SessionModel>(
+    whole: &M,
+    accepted: &Hypothesis,
+    noise: &Noise,
+    left_out: &[usize],
+) -> Option<f64> {
+    let n = whole.scored().len();
+    let rows: Vec<usize> = (0..n).filter(|i| whole.scored()[*i] && !left_out.contains(i)).collect();
+    if rows.is_empty() || !(noise.repeat.value > 0.0) {
+        return None;
+    }
+    // Tangents at the fitted values on every reading; the coefficients of this call are not used.
+    let local = fit(whole, &accepted.fit.terms, &Weights::equal(n), 0)?;
+    let left = residual(whole, accepted)?;
+    // Rows stand channel by channel within a reading.
+    let channels = left.ncols();
+    let at: Vec<usize> = rows.iter().flat_map(|i| (0..channels).map(move |c| c * n + i)).collect();
+    let (count, jacobian, off) = (at.len(), local.jacobian().select_rows(&at), stack(&left).select_rows(&at));
+    let spread = covariance(&accepted.fit, 1.0);
+    if spread.nrows() != jacobian.ncols() {
+        return None;
+    }
+    // All channels share one law of the noise.
+    let own = noise.weights_of(&whole.noise_inputs(), true).covariance(&rows);
+    let own = DMatrix::from_fn(count, count, |a, b| {
+        if a % channels == b % channels { own[(a / channels, b / channels)] } else { 0.0 }
+    });
+    let shape = own + &jacobian * spread * jacobian.transpose();
+    let mut whitened = shape.cholesky()?.l().solve_lower_triangular(&off)? / noise.repeat.value;
+    if let Some(tails) = noise.tails.filter(|t| t.heavy && t.heaviest.is_finite()) {
+        // Each value as far out as a Gaussian would have it with the same chance.
+        let (t, normal) = (StudentsT::new(0.0, 1.0, tails.heaviest).ok()?, Normal::standard());
+        let scale = noise_scale(&tails);
+        whitened.apply(|w| {
+            *w = w.signum() * normal.inverse_cdf(1.0 - t.sf(w.abs() * scale).clamp(1e-300, 0.5)).min(30.0)
+        });
+    }
+    let f = whitened.norm_squared() / count as f64;
+    FisherSnedecor::new(count as f64, accepted.fit.dof.max(1.0)).ok().map(|d| d.sf(f))
+}
+
+/// Readings of which the covariance is taken at most: it is dense.
+const MAX_DENSE: usize = 500;
+
+/// What the unsealed readings share by the noise: those that share it say less than they are.
+fn shared_noise<M: SessionModel>(whole: &M, flagged: &[usize], noise: &Noise) -> SharedNoise {
+    let counts = |i: &usize| whole.scored()[*i] && !flagged.contains(i);
+    let rows: Vec<usize> = (0..whole.scored().len()).filter(counts).collect();
+    let step = rows.len().div_ceil(MAX_DENSE).max(1);
+    let rows: Vec<usize> = rows.into_iter().step_by(step).collect();
+    let covariance = |upper: bool| noise.weights_of(&whole.noise_inputs(), upper).covariance(&rows);
+    let (c, estimated) = (covariance(true), covariance(false));
+    SharedNoise {
+        independent: c.trace().powi(2) / c.norm_squared(),
+        widening: (c.trace() / estimated.trace()).max(1.0).sqrt(),
+    }
+}
+
+/// Records of every reading and channel.
+fn residuals<M: SessionModel>(
+    decision: &Decision<M>,
+    whole: &M,
+    [before, after]: [&M::Predictions; 2],
+    set_aside: &[usize],
+) -> Vec<ResidualRecord> {
+    let model = &decision.model;
+    let covariates = whole.covariates();
+    let sd = decision.noise.reading_sd(&whole.noise_inputs());
+    let place = |m: &M, i: usize| {
+        let o = m.origin(i);
+        (o.source, o.line)
+    };
+    let flags: Vec<_> = decision.conclusion.accepted.flagged.iter().map(|&i| place(model, i)).collect();
+    let fitted: std::collections::BTreeSet<_> =
+        (0..model.measured().nrows()).map(|i| place(model, i)).collect();
+    let rejected = |i: usize| {
+        let own = place(whole, i);
+        if flags.contains(&own) || set_aside.contains(&i) {
+            return Some("single reading far outside the noise".to_owned());
+        }
+        (!whole.sealed()[i] && !fitted.contains(&own))
+            .then(|| "left out of the search: too many readings".to_owned())
+    };
+    (0..sd.len())
+        .flat_map(|i| {
+            let at = Record {
+                reading: i,
+                noise_sd: sd[i] * whole.noise_factor(),
+                rejected: rejected(i),
+                covariates: covariates.iter().map(|(n, v)| (n.clone(), v[i])).collect(),
+            };
+            whole.records(before, after, &at)
+        })
+        .collect()
+}

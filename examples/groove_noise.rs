@@ -17,7 +17,7 @@ use wcal_core::verify_document::Verdict;
 use wcal_exam::clopper_pearson;
 use wcal_plant::session::draw_under;
 use wcal_plant::{CaseKind, Design, Make, Noise, Request};
-use wcal_trace::verify::VerifyOptions;
+use wcal_trace::verify::VerifyRequest;
 use wcal_trace::whisker::{Verified, WhiskerVerification, verify_whisker};
 
 struct Options {
@@ -104,7 +104,8 @@ fn verified(seed: u64, design: Design, noise: Noise) -> Result<Option<WhiskerVer
     draw_under(&request, noise, Make::Usual)?.write(folder.path())?;
     let session = wcal_session::load(folder.path())?;
     let SessionData::Whisker(data) = &session.data else { bail!("the plant drew another kind of session") };
-    let done = verify_whisker(&session.id, data, &session.inputs, &VerifyOptions::default())?;
+    let (request, sealed) = (VerifyRequest::default(), session.sealed.whisker());
+    let done = verify_whisker(&session.id, data, sealed, &session.inputs, &[], &request)?;
     Ok(match done {
         Verified::Done(done) => Some(*done),
         Verified::Refused(_) => None,

@@ -282,8 +282,7 @@ fn of_whisker_session(
     provenance: Provenance,
 ) -> anyhow::Result<Outcome> {
     let count = sealed.len();
-    let verified =
-        verify_whisker(&session.id, data, sealed.whisker(), &session.inputs, witnesses, request)?;
+    let verified = verify_whisker(&session.id, data, sealed.whisker(), &session.inputs, witnesses, request)?;
     let done = match verified {
         Verified::Refused(document) => {
             let report = of_document(session, *document, provenance);
@@ -362,9 +361,10 @@ fn of_scalar_session(
 fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool) {
     document.notes.extend(session.warnings.iter().map(ToString::to_string));
     if seen {
-        document
-            .notes
-            .push("This holdout has met another decision before: its error is no longer that of a first look.".to_owned());
+        document.notes.push(
+            "This holdout has met another decision before: its error is no longer that of a first look."
+                .to_owned(),
+        );
     }
 }
 

@@ -179,7 +179,7 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
     let earlier = out.join("whiskerfbg");
     std::fs::create_dir_all(&earlier).expect("made");
     for (name, text) in
-        [("verify.json", "wcal-verify/1"), ("calibration.json", "{}"), ("../report.html", "wcal demo")]
+        [("verify.json", "wcal-verify/2"), ("calibration.json", "{}"), ("../report.html", "wcal demo")]
     {
         std::fs::write(earlier.join(name), text).expect("written");
     }

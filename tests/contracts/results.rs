@@ -100,8 +100,8 @@ fn whisker() -> Row {
     let v = fixture("whiskerfbg");
     let [session, sweep] = ["fixtures/whiskerfbg", "fixtures/whiskerfbg_bottle"].map(repository);
     let swept = verified(&session, Some(&sweep));
-    let explanations = swept["sweep"]["explanations"].as_array().unwrap();
-    let refuted = explanations.iter().filter(|e| e["refuted"] == true).count();
+    let tests = swept["tests"].as_array().unwrap();
+    let refuted = tests.iter().filter(|e| e["refuted"] == true).count();
     let faults = v["twin"]["faults"].as_array().unwrap();
     let branch = faults.iter().find(|f| f["kind"] == "branch").unwrap();
     let faulty = branch["points"].as_array().unwrap().len();

@@ -311,7 +311,11 @@ mod tests {
             opened.assess(|_, _, look| look.unwrap().clone()).1
         };
         let [first, second, again] = [look(1.0), look(2.0), look(1.0)];
-        assert_eq!((first.number, second.number, again.number), (1, 2, 1), "the same decision is the same look");
+        assert_eq!(
+            (first.number, second.number, again.number),
+            (1, 2, 1),
+            "the same decision is the same look"
+        );
         assert_eq!([first.level(0.6), second.level(0.6)], [0.6 / 2.0, 0.6 / 6.0]);
     }
 

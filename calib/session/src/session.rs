@@ -14,8 +14,8 @@ use wcal_core::files::{MAX_DOCUMENT_BYTES, read_within};
 use wcal_core::provenance::sha256_hex;
 use wcal_core::text::brief;
 use wcal_core::{
-    AxisData, AxisRow, FbgSpec, InputFile, Purpose, Role, Sealed, SealedRows, SessionData, SessionKind, TransducerData, TransducerRow,
-    WhiskerData, WhiskerRow, format, ranges,
+    AxisData, AxisRow, FbgSpec, InputFile, Purpose, Role, Sealed, SealedRows, SessionData, SessionKind,
+    TransducerData, TransducerRow, WhiskerData, WhiskerRow, format, ranges,
 };
 
 const NAME: &str = "session.toml";

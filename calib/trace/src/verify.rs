@@ -66,7 +66,7 @@ pub fn verify<M: SessionModel>(
             continue;
         }
         let mut found = e.search.compare_rivals(&e.model);
-        if !test_witnesses(&mut e, &mut found, witnesses)? || last {
+        if !test_witnesses(&mut e, &mut found, witnesses, request)? || last {
             break found;
         }
     };

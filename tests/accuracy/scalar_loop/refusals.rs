@@ -147,12 +147,24 @@ fn a_refusal_leaves_nothing_of_an_earlier_run_but_the_record_of_unsealing() {
     fs::write(folder.path().join("points.csv"), few.join("\n")).unwrap();
     assert_eq!(run(&[]).status.code(), Some(1));
     assert_eq!(names(), ["report.html", "verify.json"]);
-    // A whole result again, then a table that cannot even be read.
+    // A whole result again: the same decision is the same look. Another one on the same sealed rows is a second look, and says so.
     fs::write(folder.path().join("points.csv"), &good).unwrap();
-    assert_eq!(run(&[]).status.code(), Some(0));
-    assert_eq!(names().len(), 4);
-    let text = fs::read_to_string(out.join("verify.json")).unwrap();
-    assert!(text.contains("unsealed before"), "the second use is known as one: {text}");
+    let verified = || -> serde_json::Value {
+        assert_eq!(run(&[]).status.code(), Some(0));
+        assert_eq!(names().len(), 4);
+        serde_json::from_str(&fs::read_to_string(out.join("verify.json")).unwrap()).unwrap()
+    };
+    let again = verified();
+    assert_eq!(again["holdout"]["look"], 1, "{}", again["holdout"]);
+    let fewer: Vec<&str> = good.lines().take(31).collect();
+    fs::write(folder.path().join("points.csv"), fewer.join("\n")).unwrap();
+    let other = verified();
+    assert_eq!(other["holdout"]["look"], 2, "{}", other["holdout"]);
+    let level = |v: &serde_json::Value| v["holdout"]["level"].as_f64().unwrap();
+    assert!((level(&other) - level(&again) / 3.0).abs() < 1e-12, "1/2 and 1/6 of the level");
+    let calibration = fs::read_to_string(out.join("calibration.json")).unwrap();
+    assert!(calibration.contains("\"reverified\""), "the calibration carries it");
+    // Then a table that cannot even be read.
     fs::write(folder.path().join("points.csv"), good.replace("calibration", "mystery")).unwrap();
     assert_eq!(run(&[]).status.code(), Some(1));
     assert_eq!(names(), ["verify.json"]);

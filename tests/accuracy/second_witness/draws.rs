@@ -4,7 +4,7 @@ use wcal_core::SessionData;
 use wcal_core::verify_document::Verdict;
 use wcal_plant::shapes::{Cameras, Fault, shapes_json};
 use wcal_plant::{CaseKind, Design, Effect, Kind, Request, draw};
-use wcal_trace::verify::VerifyOptions;
+use wcal_trace::verify::VerifyRequest;
 use wcal_trace::whisker::{Verified, verify_whisker};
 
 /// A groove that sits 0.1 mm off.
@@ -91,7 +91,8 @@ pub fn answer(order: &Draw) -> Answer {
     let session = wcal_session::load(&folder).unwrap();
     assert!(session.warnings.is_empty(), "{:?}", session.warnings);
     let SessionData::Whisker(data) = &session.data else { panic!("kind") };
-    let done = verify_whisker("case", data, &session.inputs, &VerifyOptions::default()).unwrap();
+    let (request, sealed) = (VerifyRequest::default(), session.sealed.whisker());
+    let done = verify_whisker("case", data, sealed, &session.inputs, &[], &request).unwrap();
     let Verified::Done(done) = done else { panic!("refused") };
     let d = done.document;
     let contact = |e: &Option<wcal_core::verify_document::HeldOutError>| {

@@ -14,7 +14,7 @@ use wcal_core::verify_document::Verdict;
 use wcal_plant::case::{CaseKind, Make, Request};
 use wcal_plant::session::draw_under;
 use wcal_plant::{Design, Kind, Noise};
-use wcal_trace::verify::VerifyOptions;
+use wcal_trace::verify::VerifyRequest;
 use wcal_trace::whisker::{PhysicalModel, Verified, WhiskerVerification, verify_whisker};
 
 /// Chance below which too few regions that hold are no accident.
@@ -33,8 +33,8 @@ fn verified_under(seed: u64, design: Design, want: CaseKind, noise: Noise) -> Wh
     case.write(folder.path()).unwrap();
     let session = wcal_session::load(folder.path()).unwrap();
     let SessionData::Whisker(data) = &session.data else { unreachable!("the plant draws whiskers") };
-    let options = VerifyOptions::default();
-    match verify_whisker(&session.id, data, &session.inputs, &options).unwrap() {
+    let (request, sealed) = (VerifyRequest::default(), session.sealed.whisker());
+    match verify_whisker(&session.id, data, sealed, &session.inputs, &[], &request).unwrap() {
         Verified::Done(done) => *done,
         Verified::Refused(document) => unreachable!("{}", document.reason),
     }

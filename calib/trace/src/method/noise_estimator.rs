@@ -13,7 +13,9 @@
 use super::fit::Weights;
 use super::hypothesis::Hypothesis;
 use super::min_p::{MinPDistribution, f_test};
-use super::noise::{CORRELATED_GAIN, CORRELATED_PRICE, MeanModel, Misfit, Noise, NoiseInputs, best_misfit, estimate};
+use super::noise::{
+    CORRELATED_GAIN, CORRELATED_PRICE, MeanModel, Misfit, Noise, NoiseInputs, best_misfit, estimate,
+};
 use super::omnibus::{COVARIATE_LEVEL, CovariateScore, OmnibusTest};
 use crate::measurement_model::MeasurementModel;
 

@@ -3,7 +3,9 @@
 
 use super::ambiguity::compared;
 use super::fit::{Fit, Weights, fit};
-use super::hypothesis::{AMBIGUITY_LEVEL, Gate, Hypothesis, NotIdentified, RankedHypothesis, Rejection, SearchResult};
+use super::hypothesis::{
+    AMBIGUITY_LEVEL, Gate, Hypothesis, NotIdentified, RankedHypothesis, Rejection, SearchResult,
+};
 use super::inference::not_told;
 use super::min_p::f_test;
 use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
@@ -121,8 +123,7 @@ impl Search {
 pub fn test_adequacy(system: &dyn MeasurementModel, search: &Search) -> bool {
     let done = (search.size - 1) as f64 / search.options.largest as f64;
     search.options.progress.at("searching for effects", done);
-    search.size <= search.options.largest
-        && (search.test.rejected() || single_readings(system, &search.best))
+    search.size <= search.options.largest && (search.test.rejected() || single_readings(system, &search.best))
 }
 
 /// Signatures of the catalogue off the nuisances of each explanation that is gone on from.
@@ -152,9 +153,7 @@ pub fn refit(system: &dyn MeasurementModel, search: &Search, candidates: &Candid
         let mut more: Vec<Hypothesis> =
             own.par_iter().flat_map_iter(|c| refit_starts(system, &c.starts, from)).collect();
         let single = outliers.filter(|_| from.flagged.is_empty());
-        more.extend(
-            single.and_then(|_| reject_outliers(system, &from.fit.terms, &from.fit, &from.weights)),
-        );
+        more.extend(single.and_then(|_| reject_outliers(system, &from.fit.terms, &from.fit, &from.weights)));
         merge(system, &mut next, more, outliers, &search.base.fit, variance);
     }
     if search.size > 1 {

@@ -125,8 +125,7 @@ fn judgement<M: SessionModel>(
     let far = far_above_floor(whole, accepted, &trimmed, &decision.floor);
     let sd: Vec<f64> = noise.reading_sd(&whole.noise_inputs());
     let counts = |i: &usize| whole.scored()[*i] && !flagged.contains(i);
-    let sd: Vec<f64> =
-        (0..sd.len()).filter(counts).map(|i| sd[i] * whole.noise_factor()).collect();
+    let sd: Vec<f64> = (0..sd.len()).filter(counts).map(|i| sd[i] * whole.noise_factor()).collect();
     let of = |p: &M::Predictions| scored(whole, p, flagged);
     let tells = || refuted(&of(after), &of(before), &sd);
     let outcome = match p {
@@ -144,7 +143,14 @@ fn judgement<M: SessionModel>(
         (HoldoutOutcome::Confirmed, _) => "The sealed readings agree with the accepted model.".to_owned(),
         _ => "The sealed readings do not contradict the accepted model, and do not tell it from the declared one.".to_owned(),
     };
-    HoldoutJudgement { outcome, p, look: look.number, level: Some(level), decision_sha256: Some(look.decision_sha256.clone()), why }
+    HoldoutJudgement {
+        outcome,
+        p,
+        look: look.number,
+        level: Some(level),
+        decision_sha256: Some(look.decision_sha256.clone()),
+        why,
+    }
 }
 
 /// `sealed` with the quantities that no sealed reading shows (contacts, where no sealed pose has a picture), left out in turn.

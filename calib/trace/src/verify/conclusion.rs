@@ -1,11 +1,11 @@
 //! The verdict, written once from what was found on the open readings, in the order of docs/src/formats.md.
 
 use super::acceptance::{Unfit, readable};
+use super::evidence::Explained;
 use super::session_model::SessionModel;
 use crate::effect::{EffectTerm, LawRequirement};
 use crate::error::TraceError;
-use super::evidence::Explained;
-use crate::method::hypothesis::{Hypothesis, SearchResult};
+use crate::method::hypothesis::{Gate, Hypothesis, SearchResult};
 use crate::method::inference::in_class;
 use crate::method::lack_of_fit::LackOfFit;
 use crate::method::omnibus::{CovariateScore, LACK_OF_FIT_LEVEL, OmnibusTest};
@@ -193,7 +193,8 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         let all = found.survivors.iter().zip(&same_class).filter(|_| something);
         let rivals = all.filter(|(h, of_class)| rival(h, **of_class)).map(|(h, _)| h.clone()).collect();
         let against_pure_error = model.lack_of_fit(found.accepted()).filter(|_| !explained.exact);
-        let lack = |(l, driver): (LackOfFit, UnknownEffect)| (l.p_value < LACK_OF_FIT_LEVEL).then_some(driver);
+        let lack =
+            |(l, driver): (LackOfFit, UnknownEffect)| (l.p_value < LACK_OF_FIT_LEVEL).then_some(driver);
         Self {
             model,
             explained,
@@ -346,7 +347,9 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             Verdict::Effect => sentences(&effects),
             Verdict::TwinFault => {
                 let count: usize = self.faults.iter().map(|f| f.points.len()).sum();
-                format!("{count} labels of the outside twin are faulty; after their repair the model is adequate.")
+                format!(
+                    "{count} labels of the outside twin are faulty; after their repair the model is adequate."
+                )
             }
             _ if self.explained.exact => "The declared model fits to the last digit.".to_owned(),
             _ if reduced => "Nothing that the data support is left by the declared model.".to_owned(),
@@ -355,6 +358,13 @@ impl<'a, M: SessionModel> Facts<'a, M> {
                 format!("The declared model explains the readings to within the noise (omnibus p = {p:.2}).")
             }
         };
+        let refuted = found.rejections.iter().filter(|r| r.gate == Gate::Witness);
+        let refuted: Vec<String> = refuted.map(|r| r.effects.join(" with ")).collect();
+        if !refuted.is_empty() {
+            let refuted = refuted.join("; ");
+            reason =
+                format!("Another measurement of this instrument refutes {refuted}. Without it: {reason}");
+        }
         if on_request {
             reason = format!("Accepted by request: {}. {reason}", join(&ids(model, &accepted)));
         }

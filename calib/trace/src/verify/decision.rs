@@ -2,12 +2,12 @@
 
 use super::acceptance::{self, Unfit};
 use super::conclusion::{Conclusion, Facts, Withdrawn};
+use super::evidence::Explained;
 use super::held_out::{LeftOut, cross_validate};
 use super::session_model::{FloorStatement, SessionModel};
 use super::support::supported;
 use super::witness::{self, Witness};
 use crate::error::TraceError;
-use super::evidence::Explained;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
 use crate::method::noise::Noise;

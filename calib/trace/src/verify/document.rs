@@ -4,10 +4,10 @@ use super::assessment::{Assessment, filled};
 use super::conclusion::{Conclusion, ids, laws};
 use super::decision::Decision;
 use super::detect;
+use super::evidence::Explained;
 use super::held_out::Errors;
 use super::noise_report::{noise_document, noise_sentences};
 use super::session_model::{FloorStatement, SessionModel};
-use super::evidence::Explained;
 use crate::method::hypothesis::{Gate, Hypothesis};
 use wcal_core::verify_document::{FlaggedReading, NoiseDocument, TwinCheck, Verdict, VerifyDocument};
 

@@ -4,9 +4,9 @@ use super::evidence::{Evidence, Explained, independent};
 use super::session_model::SessionModel;
 use crate::error::TraceError;
 use crate::measurement_model::MeasurementModel;
+use crate::method::earned::earned;
 use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::{Gate, Hypothesis, Rejection, SearchResult};
-use crate::method::earned::earned;
 use crate::method::noise::{CORRELATED_PRICE, Noise};
 use crate::method::noise_estimator::{NoiseEstimator, same_whitening};
 use crate::method::omnibus::omnibus_test;
@@ -74,7 +74,12 @@ pub fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
 }
 
 /// Weights of what `h` leaves on the readings of `model`, which are seen otherwise than those that it was fitted to.
-fn weights_of<M: SessionModel>(model: &M, h: &Hypothesis, correlated_gain: f64, seed: u64) -> Option<Weights> {
+fn weights_of<M: SessionModel>(
+    model: &M,
+    h: &Hypothesis,
+    correlated_gain: f64,
+    seed: u64,
+) -> Option<Weights> {
     let judge = NoiseEstimator::new(model, seed).with_correlated_gain(correlated_gain);
     let weights = independent(model).masked(|i| h.weights.counts(i));
     let refitted = Hypothesis { fit: fit(model, &h.fit.terms, &weights, 15)?, weights, ..h.clone() };
@@ -90,7 +95,8 @@ pub fn explained<M: SessionModel>(
     e: Evidence<M>,
     mut found: SearchResult,
 ) -> Result<(M, Explained), TraceError> {
-    let Evidence { model, options, correlated_gain, plain_test, exact, tests, .. } = e;
+    let Evidence { model, options, correlated_gain, plain_test, exact, tests, rejections, .. } = e;
+    found.rejections.extend(rejections);
     let judge = NoiseEstimator::new(&model, options.seed).with_correlated_gain(correlated_gain);
     let base = declared(&model, &independent(&model), options.seed).ok_or(TraceError::NoSolution)?;
     let declared_noise = judge.noise(&base, &[]).ok_or(TraceError::NoSolution)?.0;

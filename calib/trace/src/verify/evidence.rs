@@ -3,7 +3,7 @@
 use super::session_model::SessionModel;
 use crate::error::TraceError;
 use crate::method::fit::Weights;
-use crate::method::hypothesis::{Hypothesis, SearchResult};
+use crate::method::hypothesis::{Hypothesis, Rejection, SearchResult};
 use crate::method::noise::{CORRELATED_GAIN, Noise};
 use crate::method::omnibus::OmnibusTest;
 use crate::method::options::Options;
@@ -30,6 +30,8 @@ pub struct Evidence<M> {
     pub tests: Vec<WitnessTest>,
     /// Effects that a witness refutes.
     pub refuted: Vec<String>,
+    /// Explanations that a witness refutes.
+    pub rejections: Vec<Rejection>,
 }
 
 /// The search, its rivals and the noise of both models, when nothing changes any more.
@@ -55,8 +57,18 @@ impl<M: SessionModel> Evidence<M> {
         let weights = independent(&model);
         let search = Search::new(&model, &weights, &options).ok_or(TraceError::NoSolution)?;
         let (plain_test, correlated_gain) = (search.first_test.clone(), CORRELATED_GAIN);
-        let (tests, refuted) = (Vec::new(), Vec::new());
-        Ok(Self { model, options, weights, correlated_gain, search, plain_test, exact: false, tests, refuted })
+        Ok(Self {
+            model,
+            options,
+            weights,
+            correlated_gain,
+            search,
+            plain_test,
+            exact: false,
+            tests: Vec::new(),
+            refuted: Vec::new(),
+            rejections: Vec::new(),
+        })
     }
 
     /// Begins anew under `weights`; false where the declared model has no solution then, and everything stays.

@@ -121,15 +121,11 @@ pub fn cross_validate<M: SessionModel>(
         further.push(("declared model, labels repaired by the rod".to_owned(), e));
     }
     let declared = if by_twin.is_empty() { &repaired } else { &by_twin };
-    let counted: Vec<usize> = (0..folds.fold.len())
-        .filter(|&i| folds.fold[i].is_some() && accepted.weights.counts(i))
-        .collect();
+    let counted: Vec<usize> =
+        (0..folds.fold.len()).filter(|&i| folds.fold[i].is_some() && accepted.weights.counts(i)).collect();
     // A model that ignores readings is judged on them, too: as a second number beside the error of those that count.
-    let ignored =
-        (0..folds.fold.len()).any(|i| folds.fold[i].is_some() && !accepted.weights.counts(i));
-    if ignored
-        && let Some(e) = sum(&LeaveOut { every: true, ..leave }.errors(accepted, &rivals, false))
-    {
+    let ignored = (0..folds.fold.len()).any(|i| folds.fold[i].is_some() && !accepted.weights.counts(i));
+    if ignored && let Some(e) = sum(&LeaveOut { every: true, ..leave }.errors(accepted, &rivals, false)) {
         further.push((format!("accepted model on all {} readings, flagged ones among them", e.points), e));
     }
     let errors = Errors {

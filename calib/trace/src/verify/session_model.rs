@@ -1,11 +1,11 @@
 //! What the procedure asks of a kind of session: its measurement model, in the words of its catalogue.
 
 use crate::measurement_model::MeasurementModel;
-use crate::method::options::Options;
 use crate::method::fit::Weights;
 use crate::method::hypothesis::{Hypothesis, SearchResult};
 use crate::method::lack_of_fit::LackOfFit;
 use crate::method::noise::Noise;
+use crate::method::options::Options;
 use crate::verify::evidence::Explained;
 use wcal_core::ResidualRecord;
 use wcal_core::observation::Role;

@@ -1,6 +1,7 @@
 //! Sources of data beside the readings, that hypotheses about the same instrument are held against.
 
 use super::evidence::{Evidence, independent};
+use super::options::VerifyRequest;
 use super::session_model::SessionModel;
 use crate::error::TraceError;
 use crate::method::hypothesis::{Gate, Hypothesis, Rejection, SearchResult};
@@ -24,6 +25,7 @@ pub fn test_witnesses<M: SessionModel>(
     e: &mut Evidence<M>,
     found: &mut SearchResult,
     witnesses: &[&dyn Witness<M>],
+    request: &VerifyRequest,
 ) -> Result<bool, TraceError> {
     let mut more: Vec<String> = Vec::new();
     for witness in witnesses {
@@ -32,7 +34,8 @@ pub fn test_witnesses<M: SessionModel>(
         for h in &found.survivors {
             refuted.push(test(*witness, &e.model, h, &mut e.tests)?.is_some_and(|t| t.refuted));
         }
-        if !refuted.contains(&true) {
+        // What is to be accepted by request is judged when it is accepted.
+        if !refuted.contains(&true) || !request.accept.is_empty() {
             continue;
         }
         let (gone, left): (Vec<_>, Vec<_>) =
@@ -46,7 +49,7 @@ pub fn test_witnesses<M: SessionModel>(
             found.best = found.survivors[0].clone();
         }
         let rejected = |effects| Rejection { effects, gate: Gate::Witness, why: String::new() };
-        found.rejections.extend(names.into_iter().map(rejected));
+        e.rejections.extend(names.into_iter().map(rejected));
     }
     if more.is_empty() {
         return Ok(false);

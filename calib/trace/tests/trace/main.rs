@@ -8,6 +8,28 @@
     reason = "a test that fails should say where, and one that measures says what it found"
 )]
 
+use wcal_trace::MeasurementModel;
+use wcal_trace::method::fit::Weights;
+use wcal_trace::method::hypothesis::SearchResult;
+use wcal_trace::method::options::Options;
+use wcal_trace::method::search::{
+    Search, project_signatures, refit, screen_subsets, select_model, test_adequacy,
+};
+
+/// One search under a noise that is known, as `verify` makes it in each round.
+fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Options) -> Option<SearchResult> {
+    let mut search = Search::new(system, weights, options)?;
+    while test_adequacy(system, &search) {
+        let signatures = project_signatures(system, &search);
+        let candidates = screen_subsets(system, signatures);
+        let refitted = refit(system, &search, &candidates);
+        if !select_model(system, &mut search, refitted) {
+            break;
+        }
+    }
+    Some(search.compare_rivals(system))
+}
+
 mod engine_stages;
 mod reference_noise;
 mod scalar_cells;

@@ -8,7 +8,7 @@ use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, Transducer
 use wcal_core::verify_document::Verdict;
 use wcal_trace::method::options::Options;
 use wcal_trace::scalar::{ScalarData, ScalarRow, ScalarVerification, verify_scalar};
-use wcal_trace::verify::VerifyOptions;
+use wcal_trace::verify::VerifyRequest;
 
 struct Noise(rand_chacha::ChaCha8Rng);
 
@@ -22,11 +22,11 @@ impl Noise {
 }
 
 fn run(data: ScalarData, seed: u64) -> ScalarVerification {
-    let options = VerifyOptions {
+    let options = VerifyRequest {
         search: Options { seed, draws: 400, largest: 2, ..Options::default() },
-        ..VerifyOptions::default()
+        ..VerifyRequest::default()
     };
-    verify_scalar("simulated", data, &options).unwrap()
+    verify_scalar("simulated", data, Sealed::default(), &options).unwrap()
 }
 
 fn names(v: &ScalarVerification) -> Vec<&str> {
@@ -62,7 +62,7 @@ fn cycles(
 }
 
 fn axis(rows: Vec<AxisRow>) -> AxisData {
-    AxisData { rows, holdout: Sealed::default() }
+    AxisData { rows }
 }
 
 fn even(count: usize) -> Vec<f64> {
@@ -159,7 +159,6 @@ fn levels(loads: &[f64], sweeps: usize, mut response: impl FnMut(usize, f64) -> 
         model: TransducerModel::Linear,
         covariates: Vec::new(),
         rows,
-        holdout: Sealed::default(),
     }
 }
 

@@ -6,7 +6,7 @@ use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRo
 use wcal_core::verify_document::Verdict;
 use wcal_session::{Separator, TextTableLayout, read_text_table};
 use wcal_trace::scalar::{ScalarData, ScalarVerification, polynomial::polynomial, verify_scalar};
-use wcal_trace::verify::VerifyOptions;
+use wcal_trace::verify::VerifyRequest;
 
 /// A NIST file as a transducer session; without a column `x` the stimulus is the number of the observation.
 fn nist(file: &str, columns: &[&str], model: TransducerModel) -> TransducerData {
@@ -41,12 +41,12 @@ fn nist(file: &str, columns: &[&str], model: TransducerModel) -> TransducerData 
             })
             .collect(),
         covariates: extra,
-        holdout: Sealed::default(),
     }
 }
 
 fn verify(data: &TransducerData) -> ScalarVerification {
-    let v = verify_scalar("test", ScalarData::Transducer(data), &VerifyOptions::default()).unwrap();
+    let v = verify_scalar("test", ScalarData::Transducer(data), Sealed::default(), &VerifyRequest::default())
+        .unwrap();
     println!("{:?} {}", v.document.verdict, v.document.reason);
     for e in &v.document.effects {
         println!("  {} {:?} p {:.1e} {:?}", e.id, e.class, e.p_value, e.parameters);

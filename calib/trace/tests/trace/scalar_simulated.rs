@@ -4,12 +4,12 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use statrs::distribution::{Beta, ContinuousCDF};
-use wcal_core::Sealed;
 use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
-use wcal_core::verify_document::Verdict;
+use wcal_core::verify_document::{HoldoutOutcome, Verdict};
+use wcal_core::{Sealed, SealedRows};
 use wcal_trace::method::options::Options;
 use wcal_trace::scalar::{ScalarData, ScalarVerification, verify_scalar};
-use wcal_trace::verify::VerifyOptions;
+use wcal_trace::verify::VerifyRequest;
 
 struct Noise(rand_chacha::ChaCha8Rng);
 
@@ -83,7 +83,6 @@ fn transducer(
                 covariates: vec![r.other],
             })
             .collect(),
-        holdout: Sealed::default(),
     }
 }
 
@@ -104,18 +103,18 @@ fn axis(sweep: &[Reading], mut error_um: impl FnMut(usize, &Reading) -> f64) -> 
             temperature_degc: Some(20.0 + r.rise),
         })
         .collect();
-    AxisData { rows, holdout: Sealed::default() }
+    AxisData { rows }
 }
 
-fn quick(seed: u64) -> VerifyOptions {
-    VerifyOptions {
+fn quick(seed: u64) -> VerifyRequest {
+    VerifyRequest {
         search: Options { seed, draws: 400, largest: 2, ..Options::default() },
-        ..VerifyOptions::default()
+        ..VerifyRequest::default()
     }
 }
 
 fn run(data: ScalarData, seed: u64) -> ScalarVerification {
-    verify_scalar("simulated", data, &quick(seed)).unwrap()
+    verify_scalar("simulated", data, Sealed::default(), &quick(seed)).unwrap()
 }
 
 /// Upper end of the one-sided 95 % interval of a rate (Clopper & Pearson).
@@ -371,17 +370,29 @@ fn sealed_readings_are_predicted_and_never_fitted() {
     let mut data = transducer(&sweep, TransducerModel::Linear, |r| {
         0.2 * r.x + 0.002 * (r.x - 5.0).powi(2) + 0.01 * rng.next()
     });
-    data.holdout = Sealed::new(data.rows.split_off(90));
-    let clean = run(ScalarData::Transducer(&data), 1);
+    let held_out = data.rows.split_off(90);
+    let run = |held_out: Vec<TransducerRow>| {
+        let sealed = ScalarData::sealed(SealedRows::Transducer(Sealed::new(held_out)));
+        verify_scalar("simulated", ScalarData::Transducer(&data), sealed, &quick(1)).unwrap()
+    };
+    let clean = run(held_out.clone());
     assert_eq!(clean.document.after.as_ref().unwrap().split, "holdout");
     assert_eq!(clean.document.after.as_ref().unwrap().points, 30);
     // Sealed readings spoilt: every fitted value stays, only the held-out error gets worse.
-    data.holdout.relabel(|r| r.response += 1.0);
-    let spoilt = run(ScalarData::Transducer(&data), 1);
+    let moved = |r: TransducerRow| TransducerRow { response: r.response + 1.0, ..r };
+    let spoilt = run(held_out.into_iter().map(moved).collect());
     assert_eq!(clean.residual_sd, spoilt.residual_sd);
     assert_eq!(clean.document.effects, spoilt.document.effects);
     let rmse = |v: &ScalarVerification| v.document.after.as_ref().unwrap().rmse["response_rmse"];
     assert!(rmse(&clean) < 0.02 && rmse(&spoilt) > 0.9);
+    // They contradict the decision and do not change it.
+    let outcome = |v: &ScalarVerification| v.document.holdout.outcome;
+    assert_eq!(
+        (outcome(&clean), outcome(&spoilt)),
+        (HoldoutOutcome::Confirmed, HoldoutOutcome::Contradicted)
+    );
+    assert_eq!(clean.document.verdict, spoilt.document.verdict);
+    assert_eq!(clean.document.holdout.decision_sha256, spoilt.document.holdout.decision_sha256);
 }
 
 #[test]

@@ -11,7 +11,7 @@ use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRo
 use wcal_core::verify_document::{EffectParameter, Verdict, VerifyDocument};
 use wcal_trace::method::options::Options;
 use wcal_trace::scalar::{ScalarData, ScalarRow, ScalarVerification, verify_scalar};
-use wcal_trace::verify::VerifyOptions;
+use wcal_trace::verify::VerifyRequest;
 
 struct Noise(rand_chacha::ChaCha8Rng);
 
@@ -50,16 +50,15 @@ fn table(
         model: TransducerModel::Linear,
         covariates: ["a", "b", "c"].iter().take(columns.len()).map(|n| (*n).to_owned()).collect(),
         rows: stimuli.iter().enumerate().map(row).collect(),
-        holdout: Sealed::default(),
     }
 }
 
 fn run(data: &TransducerData, seed: u64) -> ScalarVerification {
-    let options = VerifyOptions {
+    let options = VerifyRequest {
         search: Options { seed, draws: 400, ..Options::default() },
-        ..VerifyOptions::default()
+        ..VerifyRequest::default()
     };
-    verify_scalar("simulated", ScalarData::Transducer(data), &options).unwrap()
+    verify_scalar("simulated", ScalarData::Transducer(data), Sealed::default(), &options).unwrap()
 }
 
 fn names(v: &ScalarVerification) -> Vec<&str> {

@@ -1,31 +1,34 @@
 //! The stages around the engine on whisker sessions: measured (fixtures/whiskerfbg) and SIMULATED (fixtures/practice/case-004, no effect).
 
+use crate::search;
 use std::path::Path;
 use std::sync::OnceLock;
 use wcal_core::observation::{TwinLabel, WhiskerData, WhiskerRow};
 use wcal_core::verify_document::{TwinFault, Verdict};
-use wcal_core::{Seal, SessionData};
+use wcal_core::{Decide, Ledger, SessionData};
 use wcal_trace::effect::EffectTerm;
 use wcal_trace::measurement_model::MeasurementModel;
-use wcal_trace::method::explain::NoiseEstimator;
 use wcal_trace::method::fit::{Weights, fit};
 use wcal_trace::method::hypothesis::{Hypothesis, SearchResult};
+use wcal_trace::method::noise_estimator::NoiseEstimator;
 use wcal_trace::method::options::Options;
-use wcal_trace::method::search::search;
-use wcal_trace::verify::conclusion::conclude;
+use wcal_trace::verify::assessment::{HOLDOUT_LEVEL, holdout_p};
+use wcal_trace::verify::conclusion::Facts;
 use wcal_trace::verify::detect;
 use wcal_trace::verify::error_summary::{coverage95, summarise};
-use wcal_trace::verify::holdout_check::{HOLDOUT_LEVEL, holdout_p};
-use wcal_trace::verify::{HeldOut, SessionModel};
+use wcal_trace::verify::{Explained, HeldOut, SessionModel};
 use wcal_trace::whisker::WhiskerSystem;
 use wcal_trace::whisker::floor::noise_floor;
 use wcal_trace::whisker::rod_parameters::RodParameters;
 use wcal_trace::whisker::seatings::spread_of_zeros;
 use wcal_trace::whisker::twin_check::check_labels;
 
+fn session(name: &str) -> wcal_session::LoadedSession {
+    wcal_session::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures").join(name)).unwrap()
+}
+
 fn data(name: &str) -> WhiskerData {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures").join(name);
-    match wcal_session::load(&folder).unwrap().data {
+    match session(name).data {
         SessionData::Whisker(data) => data,
         _ => panic!("{name} is no whisker session"),
     }
@@ -118,9 +121,16 @@ fn the_floor_comes_from_replicates_or_says_that_it_does_not() {
 #[test]
 fn a_session_without_effect_is_adequate_and_only_its_labels_can_change_that() {
     let (_, system, found) = null();
-    assert_eq!(conclude(system, found, &[]).verdict, Verdict::Adequate);
+    let noise = NoiseEstimator::new(system, 1).noise(&found.base, &[]).unwrap().0;
+    let (found, declared_noise) = (found.clone(), noise.clone());
+    let explained = Explained { found, noise, declared_noise, exact: false, tests: Vec::new() };
+    let verdict = |faults: &[TwinFault]| {
+        let facts = Facts::of(system, &explained, faults);
+        facts.conclude(facts.accepted().clone(), false, None, None).verdict
+    };
+    assert_eq!(verdict(&[]), Verdict::Adequate);
     let fault = TwinFault { points: vec![3], kind: "branch".into(), detail: String::new() };
-    assert_eq!(conclude(system, found, &[fault]).verdict, Verdict::TwinFault);
+    assert_eq!(verdict(&[fault]), Verdict::TwinFault);
 }
 
 #[test]
@@ -176,11 +186,21 @@ fn held_out_errors_are_root_mean_squares_with_an_interval_around_them() {
 
 #[test]
 fn a_holdout_like_the_points_agrees_and_a_moved_one_does_not() {
-    let (data, system, found) = null();
+    /// Nothing is decided: the rows are looked at.
+    struct Undecided;
+    impl Decide for Undecided {
+        fn content(&self) -> serde_json::Value {
+            serde_json::Value::Null
+        }
+    }
+    let (_, system, found) = null();
+    let sealed = session("practice/case-004").sealed.whisker();
+    let opened = sealed.unseal(Undecided, &Ledger::default()).unwrap();
+    let (_, rows) = opened.assess(|_, rows, _| rows.to_vec());
     let p_of = |moved_pm: f64| {
-        let mut data = data.clone();
-        data.holdout.relabel(|r| r.shift_pm[0] += moved_pm);
-        let whole = system.whole(data.holdout.unseal(&Seal::default()).unwrap().0).unwrap();
+        let mut rows = rows.clone();
+        rows.iter_mut().for_each(|r| r.shift_pm[0] += moved_pm);
+        let whole = system.whole(&rows).unwrap();
         let noise = NoiseEstimator::new(system, 1).noise(&found.base, &[]).unwrap().0;
         holdout_p(&whole, &found.base, &noise, &[]).unwrap()
     };

@@ -37,7 +37,8 @@ fn a_plan_becomes_a_session_that_loads_and_agrees_with_the_plant() {
     let count = |role: Role| data.rows.iter().filter(|r| r.role == role).count();
     assert_eq!((count(Role::Rest), count(Role::Calibration)), (2, 6));
     assert!(count(Role::Verification) > 10, "{} rows on the fly", count(Role::Verification));
-    assert_eq!(data.holdout.len(), 2, "the holdout with its own rest");
+    let sealed = wcal_session::load(&order.folder).unwrap().sealed;
+    assert_eq!(sealed.len(), 2, "the holdout with its own rest");
     // What the plant does at trajectory 1: K m with m = (-, 0) for a push along +z.
     let scenario = Scenario::parse("format = \"wcal-scenario/1\"").unwrap();
     let mut plant = crate::cantilever::Cantilever::new(&scenario);

@@ -2,8 +2,8 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wcal_core::{Sealed, SealedRows};
 use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
+use wcal_core::{Sealed, SealedRows};
 
 /// Session of one of the two scalar kinds.
 #[derive(Debug, Clone, Copy)]

@@ -30,13 +30,8 @@ pub(super) fn test_spread(frame: &Frame, h: &Hypothesis, seed: u64) -> Option<Sp
     let residual = standardised(h);
     let pick = |f: &dyn Fn(usize) -> f64| kept.iter().map(|&i| f(i)).collect::<Vec<f64>>();
     let x = pick(&|i| frame.rows[i].x);
-    let mut spread = spread_test(
-        &pick(&|i| residual[i]),
-        Some(&x),
-        &pick(&|i| frame.u[i]),
-        PERMUTATIONS,
-        seed,
-    )?;
+    let mut spread =
+        spread_test(&pick(&|i| residual[i]), Some(&x), &pick(&|i| frame.u[i]), PERMUTATIONS, seed)?;
     // Readings that do not count keep the mean spread.
     let mut relative = vec![1.0; frame.rows.len()];
     for (&i, sd) in kept.iter().zip(&spread.relative_sd) {
@@ -48,7 +43,11 @@ pub(super) fn test_spread(frame: &Frame, h: &Hypothesis, seed: u64) -> Option<Sp
 
 /// The same readings with the spread that `accepted` leaves; none where that is what they have. A spread that does not outlive the effects which a
 /// search with it adds is given up for good.
-pub(super) fn with_spread_of(system: &ScalarSystem, accepted: &Hypothesis, seed: u64) -> Option<ScalarSystem> {
+pub(super) fn with_spread_of(
+    system: &ScalarSystem,
+    accepted: &Hypothesis,
+    seed: u64,
+) -> Option<ScalarSystem> {
     // What a model leaves where repeats contradict it grows where it is wrong: that is no noise.
     let contradicted = system.pure_error(accepted).is_some_and(|l| l.p_value < LACK_OF_FIT_LEVEL);
     // Nor is it that a period which is not steady leaves more toward the ends.

@@ -95,11 +95,7 @@ pub fn verify_scalar(
 }
 
 /// What a report shows of a verification.
-fn for_report(
-    session: &str,
-    v: Verification<ScalarSystem>,
-    request: &VerifyRequest,
-) -> ScalarVerification {
+fn for_report(session: &str, v: Verification<ScalarSystem>, request: &VerifyRequest) -> ScalarVerification {
     let mut document = VerifyDocument { session: session.to_owned(), ..v.document() };
     let system = v.decision.model();
     let (found, accepted) = (&v.decision.explained().found, &v.decision.conclusion().accepted);

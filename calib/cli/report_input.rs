@@ -6,7 +6,7 @@ use wcal_report::{
     EvidenceRow, Fact, GateTest, NamedError, ReportInput, TwinMark, TwinTrajectory, model_after,
 };
 use wcal_session::LoadedSession;
-use wcal_trace::method::hypothesis::RankedHypothesis;
+use wcal_trace::method::search_result::RankedHypothesis;
 use wcal_trace::scalar::{Declared, ScalarData, ScalarVerification};
 use wcal_trace::whisker::WhiskerVerification;
 

@@ -34,13 +34,12 @@ use wcal_core::verify_document::WitnessTest;
 use wcal_rod::Shape;
 use wcal_sim::Mesh;
 use wcal_trace::TraceError;
+use wcal_trace::levels::WITNESSES;
 use wcal_trace::method::hypothesis::Hypothesis;
 use wcal_trace::verify::Witness;
 use wcal_trace::whisker::{PhysicalModel, WhiskerSystem};
 use wcal_track::{InverseGrid, InverseSolution, StaticInverse};
 
-/// Below this p-value an explanation is refuted.
-pub const REFUTED_LEVEL: f64 = 0.01;
 /// Largest friction of a wire on an object.
 const FRICTION: f64 = 0.3;
 /// What an angle outside the cone of friction counts, mm/rad: the wire's lever of some centimetres, with a margin.
@@ -178,7 +177,7 @@ impl SweepWitness {
             statistic,
             dof,
             p,
-            refuted: p < REFUTED_LEVEL,
+            refuted: p < WITNESSES,
             magnitude: median_mm,
             unit: "mm".to_owned(),
             sentence: format!(

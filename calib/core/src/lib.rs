@@ -32,11 +32,11 @@ pub mod wire_frame;
 
 pub use calibration::{CalibrationFile, CalibrationFrame, CalibrationNoise, VerificationStatus};
 pub use observation::{
-    AxisData, AxisRow, FbgSpec, MomentAxes, PairLeftOut, Role, SessionData, SessionKind, SessionShapes,
-    Trajectory, TransducerData, TransducerModel, TransducerRow, TwinLabel, WhiskerData, WhiskerRow,
-    WhiskerSpec,
+    AxisData, AxisRow, FbgSpec, MomentAxes, PairLeftOut, Role, SealedRows, SessionData, SessionKind,
+    SessionShapes, Trajectory, TransducerData, TransducerModel, TransducerRow, TwinLabel, WhiskerData,
+    WhiskerRow, WhiskerSpec,
 };
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;
-pub use sealed::{Decide, Labelled, Ledger, Look, Opened, Opening, RowLabel, Sealed, SealedRows};
+pub use sealed::{Decide, Labelled, Ledger, Look, Opened, Opening, RowLabel, Sealed};
 pub use wire_frame::WireFrame;

@@ -8,7 +8,6 @@
 //! K. K. G. Lan, D. L. DeMets, Biometrika 70 (1983), 659-663 (a level that is spent); C. Dwork et al., Science 349 (2015), 636-638 (why a second
 //! decision on the same holdout is dearer than the first).
 
-use crate::observation::{AxisRow, TransducerRow, WhiskerRow};
 use crate::provenance::{canonical_json, sha256_hex};
 use std::fmt;
 use std::sync::Arc;
@@ -224,47 +223,6 @@ impl<R> Sealed<R> {
         let opening = Opening { decision_sha256: &decision_sha256, rows: self.rows.len() };
         let number = ledger.0.as_ref().map_or(Ok(1), |record| record(&opening))?;
         Ok(Opened { rows: self.rows, decision, look: Some(Look { number, decision_sha256 }) })
-    }
-}
-
-/// Sealed rows of a session of any kind.
-#[derive(Debug)]
-pub enum SealedRows {
-    /// Of a whisker.
-    Whisker(Sealed<WhiskerRow>),
-    /// Of a transducer.
-    Transducer(Sealed<TransducerRow>),
-    /// Of an axis.
-    Axis(Sealed<AxisRow>),
-}
-
-impl Default for SealedRows {
-    fn default() -> Self {
-        Self::Whisker(Sealed::default())
-    }
-}
-
-impl SealedRows {
-    /// Those of a whisker; none of another kind of session.
-    pub fn whisker(self) -> Sealed<WhiskerRow> {
-        match self {
-            Self::Whisker(rows) => rows,
-            _ => Sealed::default(),
-        }
-    }
-
-    /// Number of rows.
-    pub fn len(&self) -> usize {
-        match self {
-            Self::Whisker(rows) => rows.len(),
-            Self::Transducer(rows) => rows.len(),
-            Self::Axis(rows) => rows.len(),
-        }
-    }
-
-    /// Whether nothing is sealed.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 }
 

@@ -5,6 +5,7 @@
 
 pub mod effect;
 mod error;
+pub mod levels;
 pub mod measurement_model;
 pub mod method;
 mod models;

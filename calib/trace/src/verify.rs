@@ -1,42 +1,45 @@
-//! `verify`: the residual loop, one procedure for every kind of session. One function a stage, in the order of the work; docs/src/method.md has the same
-//! stages.
+//! `verify`: the residual loop, one procedure for every kind of session. One function a stage, in the order of the work; the numbers are the rows of
+//! docs/src/method.md.
 
 mod acceptance;
 pub mod assessment;
 pub mod conclusion;
+mod cross_validate;
 mod decision;
 pub mod detect;
 mod document;
 pub mod error_summary;
-pub mod estimate_noise;
+mod estimate_noise;
 mod evidence;
-pub mod held_out;
+mod explained;
 pub mod judgement;
-pub mod noise_report;
-pub mod options;
+mod left_out;
+mod noise_report;
 mod refutation;
+mod request;
 pub(crate) mod sealed_in_fit;
 pub mod session_model;
 mod support;
-pub mod witness;
+mod witness;
 
 use crate::error::TraceError;
-use crate::method::search::{project_signatures, refit, screen_subsets, select_model, test_adequacy};
+use crate::method::search::{
+    compare_rivals, project_signatures, refit, screen_subsets, select_model, test_adequacy,
+};
 pub use assessment::Assessment;
 use assessment::assess;
+use cross_validate::cross_validate;
 pub use decision::Decision;
 use decision::decide;
-use estimate_noise::{estimate_noise, explained, fit_baseline};
-pub use evidence::Explained;
-pub use options::VerifyRequest;
+use estimate_noise::{estimate_noise, fit_baseline};
+use evidence::MAX_ROUNDS;
+pub use explained::Explained;
+pub use request::VerifyRequest;
 pub use session_model::{HeldOut, SessionModel, SessionText};
 use wcal_core::Sealed;
 use wcal_core::verify_document::VerifyDocument;
 pub use witness::Witness;
 use witness::test_witnesses;
-
-/// Searches at most: each is made under the noise and the instrument that the one before shows.
-const MAX_ROUNDS: usize = 5;
 
 /// Runs the stages on a model of the open readings; the sealed ones come out once, against a decision that is complete.
 ///
@@ -48,33 +51,44 @@ pub fn verify<M: SessionModel>(
     sealed: Sealed<M::Row>,
     witnesses: &[&dyn Witness<M>],
     request: &VerifyRequest,
-) -> Result<Verification<M>, TraceError> {
-    let mut e = fit_baseline(model, request)?;
-    let mut round = 1;
+) -> Result<Verified<M>, TraceError> {
+    if let Some(why) = model.refusal(&sealed) {
+        return Ok(Verified::Refused(why)); //                                       1 data validation
+    }
+    let mut e = fit_baseline(model, request)?; //                                   2 least trimmed squares, variable projection
     let found = loop {
         while test_adequacy(&e.model, &e.search) {
-            let signatures = project_signatures(&e.model, &e.search);
-            let candidates = screen_subsets(&e.model, signatures);
-            let refitted = refit(&e.model, &e.search, &candidates);
+            //                                                                      4 omnibus test
+            let signatures = project_signatures(&e.model, &e.search); //            5 off the nuisances
+            let candidates = screen_subsets(&e.model, signatures); //               6 on the projected Gram matrix
+            let refitted = refit(&e.model, &e.search, &candidates); //              7 full forward model
             if !select_model(&e.model, &mut e.search, refitted) {
-                break;
+                break; //                                                           8 Akaike, F test of the step, ranges, design
             }
         }
-        let last = round == MAX_ROUNDS;
-        round += 1;
-        if !last && estimate_noise(&mut e) {
-            continue;
+        e.rounds += 1;
+        if e.rounds < MAX_ROUNDS && estimate_noise(&mut e) {
+            continue; //                                                            3 restricted likelihood; channels, clock, pictures
         }
-        let mut found = e.search.compare_rivals(&e.model);
-        if !test_witnesses(&mut e, &mut found, witnesses, request)? || last {
-            break found;
+        let found = compare_rivals(&e.model, &e.search); //                         10 Cox's test by parametric bootstrap
+        match test_witnesses(&mut e, found, witnesses, request)? {
+            Some(found) => break found, //                                          9 a sweep over a known object
+            None => continue,
         }
     };
-    let (model, explained) = explained(e, found)?;
-    let decision = decide(model, explained, witnesses, request)?;
+    let validated = cross_validate(e, found, request)?; //                          11 keeps what predicts readings left out in turn
+    let decision = decide(validated, witnesses, request)?; //                       12 verdict, calibration, claims: complete
     let opened = sealed.unseal(decision, &request.ledger).map_err(TraceError::NoLedger)?;
-    let (decision, assessment) = opened.assess(assess);
-    Ok(Verification { decision, assessment: assessment? })
+    let (decision, assessment) = opened.assess(assess); //                          13 once; nothing can be chosen after it
+    Ok(Verified::Done(Box::new(Verification { decision, assessment: assessment? })))
+}
+
+/// A session's result, or why its data cannot be used.
+pub enum Verified<M: SessionModel> {
+    /// The stages ran.
+    Done(Box<Verification<M>>),
+    /// The data were refused, and why.
+    Refused(String),
 }
 
 /// Everything that `verify` found.

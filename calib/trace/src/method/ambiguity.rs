@@ -4,12 +4,13 @@
 //! best? In tangent models the answer depends on the noise only through the span of both models and of what separates them, so a draw
 //! costs a few dozen products instead of a refit.
 
-use super::hypothesis::{AMBIGUITY_LEVEL, Hypothesis};
+use super::hypothesis::Hypothesis;
 use super::linear::Basis;
 use super::options::Options;
 use super::refine::refit;
 use super::signature::nuisance;
 use crate::effect::EffectTerm;
+use crate::levels::RIVAL;
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
@@ -80,7 +81,7 @@ pub fn compared(
         let p = |h: &Hypothesis| cox_test(best, h, variance, options.draws, options.seed + k as u64);
         match p(h) {
             _ if k == 0 => 1.0,
-            rejected if rejected < AMBIGUITY_LEVEL && k <= REFITTED => {
+            rejected if rejected < RIVAL && k <= REFITTED => {
                 let Some(nearer) = from_shared_values(system, h, best) else { return rejected };
                 *h = nearer;
                 p(h)
@@ -112,7 +113,7 @@ pub fn power(lambda: f64) -> f64 {
     }
     let normal = Normal::standard();
     // The lag of the wrong one is about N(lambda, 4 lambda); it is rejected beyond the level's quantile of N(-lambda, 4 lambda).
-    let limit = (2.0 * lambda.sqrt() * normal.inverse_cdf(1.0 - AMBIGUITY_LEVEL) - lambda).max(0.0);
+    let limit = (2.0 * lambda.sqrt() * normal.inverse_cdf(1.0 - RIVAL) - lambda).max(0.0);
     normal.cdf((lambda - limit) / (2.0 * lambda.sqrt()))
 }
 
@@ -175,7 +176,7 @@ mod tests {
             if best.fit.ssr > rival.fit.ssr {
                 continue;
             }
-            count += u32::from(cox_test(best, rival, best.fit.variance(), 400, k) < AMBIGUITY_LEVEL);
+            count += u32::from(cox_test(best, rival, best.fit.variance(), 400, k) < RIVAL);
         }
         f64::from(count) / TRIALS as f64
     }
@@ -187,7 +188,7 @@ mod tests {
             for distance in [0.5, 2.0, 4.0] {
                 let rate = rejected(distance, parameters, true);
                 // Three standard deviations above the level.
-                let limit = AMBIGUITY_LEVEL + 3.0 * (AMBIGUITY_LEVEL / TRIALS as f64).sqrt();
+                let limit = RIVAL + 3.0 * (RIVAL / TRIALS as f64).sqrt();
                 assert!(rate <= limit, "{parameters:?} at {distance}: {rate} > {limit}");
             }
         }

@@ -68,7 +68,7 @@ pub fn earned(system: &dyn MeasurementModel, h: &Hypothesis) -> (Hypothesis, Vec
     while !kept.fit.terms.is_empty() {
         let least = (0..kept.fit.terms.len())
             .filter_map(|k| {
-                let without = kept.without(system, |j, _| j == k, 10)?;
+                let without = kept.without(system, |j, _| j == k)?;
                 let (sum, sd) = gain(system, &kept.fit, &without.fit)?;
                 Some((sum / sd.max(1e-300), kept.fit.terms[k].effect, without))
             })

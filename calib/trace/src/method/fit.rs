@@ -8,126 +8,16 @@
 //! 10 (1973), with Kaufman's Jacobian: the tangents' part that b cannot take up. Bounds carry the physics (friction and creep do not go
 //! below zero).
 
+pub use super::fitted::{Fit, Status};
 use super::linear::stack_with;
 pub use super::noise::Weights;
 use crate::effect::{EffectTerm, Role, grid_gap};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
 use std::cell::{Cell, OnceCell};
-use std::sync::Arc;
 use wcal_core::least_squares::{
     BoundedNormalEquations, Damping, Ending, Linearised, NormalEquations, minimise,
 };
-
-/// How a fit ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Status {
-    /// The sum of squares no longer falls.
-    Converged,
-    /// It was still falling when the iterations ran out.
-    NotConverged,
-    /// Columns of the design depend on each other; the others were fitted.
-    RankDeficient,
-}
-
-/// A fitted model.
-#[derive(Debug, Clone)]
-pub struct Fit {
-    /// Terms with fitted values.
-    pub terms: Vec<EffectTerm>,
-    /// Coefficients, design columns x channels.
-    pub coefficients: DMatrix<f64>,
-    /// Whitened residual, readings x channels.
-    pub residual: DMatrix<f64>,
-    /// Whitened design.
-    pub design: DMatrix<f64>,
-    /// Design as it is, readings x coefficients.
-    pub raw_design: DMatrix<f64>,
-    /// Residual as it is, of every reading, in the unit of the measured values.
-    pub raw_residual: DMatrix<f64>,
-    /// Sum of squares.
-    pub ssr: f64,
-    /// Readings x channels less coefficients and parameters.
-    pub dof: f64,
-    /// Tangent of the prediction by each nonlinear parameter, readings x channels each (whitened).
-    pub tangents: Vec<DMatrix<f64>>,
-    /// The same as they are, not whitened.
-    pub raw_tangents: Vec<DMatrix<f64>>,
-    /// What the second witness leaves, whitened; empty without one.
-    pub auxiliary_residual: DVector<f64>,
-    /// Tangents of its prediction by each nonlinear parameter, whitened.
-    pub witness_tangents: Vec<DVector<f64>>,
-    /// Reading of each of its values.
-    pub witness_readings: Arc<Vec<usize>>,
-    /// Values of the second witness that count.
-    pub witness_count: usize,
-    /// Which nonlinear parameters sit at an end of their range.
-    pub at_bound: Vec<bool>,
-    /// How it ended.
-    pub status: Status,
-}
-
-impl Fit {
-    /// Residual variance.
-    pub fn variance(&self) -> f64 {
-        self.ssr / self.dof.max(1.0)
-    }
-
-    /// Degrees of freedom of the readings, where the second witness takes none of the parameters.
-    pub fn readings_dof(&self) -> f64 {
-        self.dof - self.witness_count as f64
-    }
-
-    /// Residual variance of the readings alone.
-    pub fn readings_variance(&self) -> f64 {
-        self.residual.norm_squared() / self.readings_dof().max(1.0)
-    }
-
-    /// The whole whitened residual: readings channel by channel, then the second witness.
-    pub fn stacked(&self) -> DVector<f64> {
-        stack_with(&self.residual, &self.auxiliary_residual)
-    }
-
-    /// Tangents in the same order.
-    pub fn stacked_tangents(&self) -> Vec<DVector<f64>> {
-        self.tangents.iter().zip(&self.witness_tangents).map(|(t, w)| stack_with(t, w)).collect()
-    }
-
-    /// Derivatives of the whole whitened prediction: by the coefficients channel by channel, then by the nonlinear values.
-    pub fn jacobian(&self) -> DMatrix<f64> {
-        let ((n, q), channels, m) = (self.design.shape(), self.residual.ncols(), self.tangents.len());
-        let rows = self.residual.len() + self.auxiliary_residual.len();
-        let mut jacobian = DMatrix::zeros(rows, q * channels + m);
-        for c in 0..channels {
-            jacobian.view_mut((c * n, c * q), (n, q)).copy_from(&self.design);
-        }
-        for (j, t) in self.stacked_tangents().iter().enumerate() {
-            jacobian.set_column(q * channels + j, t);
-        }
-        jacobian
-    }
-
-    /// A column of the readings in channel `channel`, zero elsewhere, in the same order.
-    pub fn in_channel(&self, column: &[f64], channel: usize) -> DVector<f64> {
-        let mut v = DVector::zeros(self.residual.len() + self.auxiliary_residual.len());
-        v.rows_mut(channel * column.len(), column.len()).copy_from_slice(column);
-        v
-    }
-
-    /// Everything of reading `i` by itself, one direction a value.
-    pub fn directions_of(&self, i: usize) -> Vec<DVector<f64>> {
-        let (n, size) = (self.residual.nrows(), self.residual.len());
-        let own = (0..self.residual.ncols()).map(|c| c * n + i);
-        let seen =
-            (0..self.auxiliary_residual.len()).filter(|k| self.witness_readings[*k] == i).map(|k| size + k);
-        let one = |at: usize| {
-            let mut v = DVector::zeros(size + self.auxiliary_residual.len());
-            v[at] = 1.0;
-            v
-        };
-        own.chain(seen).map(one).collect()
-    }
-}
 
 /// Coefficients and residual of `y` on `design` by Householder QR on scaled columns.
 pub(crate) fn linear(design: &DMatrix<f64>, y: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>, bool) {

@@ -1,10 +1,12 @@
 //! Covariance of everything that was fitted, intervals, and which explanations are one class on this data.
 
 use super::fit::Fit;
-use super::hypothesis::{Hypothesis, SearchResult};
+use super::hypothesis::Hypothesis;
 use super::linear::Basis;
+use super::search_result::SearchResult;
 use super::signature::nuisance;
 use crate::effect::{EffectTerm, LawRequirement, Role};
+use crate::levels::{LEAD, NORMAL_95};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
 use wcal_core::verify_document::EffectParameter;
@@ -24,9 +26,6 @@ pub fn covariance(fit: &Fit, variance: f64) -> DMatrix<f64> {
         if dead[i] || dead[j] { 0.0 } else { inverse[(i, j)] * variance / (scale[i] * scale[j]) }
     })
 }
-
-/// Two-sided 95 % of a Gaussian.
-pub const NORMAL_95: f64 = 1.96;
 
 /// Quantile of Student's t for a two-sided 95 % interval.
 pub fn t95(dof: f64) -> f64 {
@@ -125,7 +124,7 @@ pub fn in_class(system: &dyn MeasurementModel, found: &SearchResult) -> Vec<bool
 
 /// Cosine and lag in the criterion up to which a law of a measured column and one of another are not distinguished by their misfit.
 const MEASURED_COSINE: f64 = 0.97;
-const MEASURED_BEHIND: f64 = 20.0;
+const MEASURED_BEHIND: f64 = 2.0 * LEAD;
 
 /// Whether `h`, which is `behind` the best explanation in the criterion, is not distinguished from it because one of them follows a temperature: that is
 /// measured itself, and the comparison takes columns for exact. Over minutes a room that warms steadily is as good as a clock.

@@ -1,11 +1,13 @@
 //! The statistics shared by every kind of session: fit, screen, refit, compare. They know measurement models and effects, not whiskers.
 
+pub mod admissible;
 pub mod ambiguity;
 #[cfg(test)]
 mod columns_system_test;
 pub mod covariates;
 pub mod earned;
 pub mod fit;
+pub mod fitted;
 pub mod hypothesis;
 pub mod inference;
 pub mod lack_of_fit;
@@ -19,6 +21,7 @@ pub mod outliers;
 pub mod range_check;
 mod refine;
 pub mod search;
+pub mod search_result;
 pub mod signature;
 mod socp;
 pub mod subsets;

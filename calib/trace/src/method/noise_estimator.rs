@@ -14,19 +14,14 @@ use super::fit::Weights;
 use super::hypothesis::Hypothesis;
 use super::min_p::{MinPDistribution, f_test};
 use super::noise::{
-    CORRELATED_GAIN, CORRELATED_PRICE, MeanModel, Misfit, Noise, NoiseInputs, best_misfit, estimate,
+    CORRELATED_PRICE, MeanModel, Misfit, Noise, NoiseInputs, best_misfit, correlated_gain, estimate,
 };
-use super::omnibus::{COVARIATE_LEVEL, CovariateScore, OmnibusTest};
+use super::omnibus::{CovariateScore, OmnibusTest};
+use crate::levels::{GENERIC, PRICE, RETAIN, RETAIN_BESIDE_CORRELATED};
 use crate::measurement_model::MeasurementModel;
 
-/// Level at which an effect holds against the noise that would stand in its place. It has passed the level of the search already.
-const CONFIRM_LEVEL: f64 = 0.02;
-/// The same beside correlated noise: its time constant comes from a few stretches of the very readings, and a slow effect looks like it.
-const CONFIRM_BESIDE_CORRELATED: f64 = 1e-3;
 /// Generic drivers that are judged against correlated noise.
 const COVARIATES_JUDGED: usize = 10;
-/// Price of a law of the spread, in -2 log likelihood (Akaike).
-const LAW_PRICE: f64 = 2.0;
 
 /// Lead past which the p-value is 0 to any precision, and an exponential would be infinite.
 const MAX_LEAD: f64 = 300.0;
@@ -49,7 +44,7 @@ pub struct NoiseEstimator<'a> {
 impl<'a> NoiseEstimator<'a> {
     /// For a session.
     pub fn new(system: &'a dyn MeasurementModel, seed: u64) -> Self {
-        Self { system, inputs: system.noise_inputs(), correlated_gain: CORRELATED_GAIN, seed }
+        Self { system, inputs: system.noise_inputs(), correlated_gain: correlated_gain(), seed }
     }
 
     /// The same where a part that is correlated in time is taken up from this gain on.
@@ -73,7 +68,7 @@ impl<'a> NoiseEstimator<'a> {
     fn p_value(&self, without: &(Noise, Misfit), with: &(Noise, Misfit), family: &MinPDistribution) -> f64 {
         let (a, b) = (&without.1, &with.1);
         // Both sides have had every shared part; a law of the spread is one parameter.
-        let law = |n: &Noise| if n.law.is_some() { LAW_PRICE } else { 0.0 };
+        let law = |n: &Noise| if n.law.is_some() { PRICE } else { 0.0 };
         let lead = (a.plain + law(&without.0) - b.plain - law(&with.0)) / a.values;
         let extra = (a.dof - b.dof).max(1.0);
         // Sums of squares in units of the better model's.
@@ -92,13 +87,13 @@ impl<'a> NoiseEstimator<'a> {
             let with = self.noise(&best, &[])?;
             let mut weakest: Option<(f64, Hypothesis)> = None;
             for k in 0..best.fit.terms.len() {
-                let Some(without) = best.without(self.system, |j, _| j == k, 10) else { continue };
+                let Some(without) = best.without(self.system, |j, _| j == k) else { continue };
                 let p = self.p_value(&self.noise(&without, &[])?, &with, family);
                 if weakest.as_ref().is_none_or(|w| p > w.0) {
                     weakest = Some((p, without));
                 }
             }
-            let level = if with.0.correlated.is_some() { CONFIRM_BESIDE_CORRELATED } else { CONFIRM_LEVEL };
+            let level = if with.0.correlated.is_some() { RETAIN_BESIDE_CORRELATED } else { RETAIN };
             match weakest {
                 Some((p, without)) if p > level => best = without,
                 _ => break,
@@ -116,7 +111,7 @@ impl<'a> NoiseEstimator<'a> {
             judged.push((self.p_value(&without, &with, &test.covariate_family), score.clone()));
         }
         judged.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let holds = judged.first().is_some_and(|d| d.0 < COVARIATE_LEVEL);
+        let holds = judged.first().is_some_and(|d| d.0 < GENERIC);
         holds.then(|| judged.into_iter().map(|d| d.1).collect())
     }
 }

@@ -9,20 +9,10 @@ use super::fit::{Fit, Weights};
 use super::min_p::{MinPDistribution, signature_p};
 use super::options::Options;
 use super::signature::{Signature, nuisance, signatures_of_catalogue};
+use crate::levels::{CATALOGUE, GENERIC, OMNIBUS, REPLICATES, SERIAL};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::DVector;
 use statrs::distribution::{ContinuousCDF, Normal};
-
-/// Level of the catalogue's family: what names an effect.
-pub const CATALOGUE_LEVEL: f64 = 0.01;
-/// Level of the generic family: what says that something is left.
-pub const COVARIATE_LEVEL: f64 = 0.005;
-/// Level of the serial-correlation test.
-pub const SERIAL_LEVEL: f64 = 0.002;
-/// Level of the lack of fit against pure error, where readings repeat a stimulus.
-pub const LACK_OF_FIT_LEVEL: f64 = 0.002;
-/// Chance that any verdict-changing test of the family rejects where nothing is there.
-pub const FAMILY_LEVEL: f64 = CATALOGUE_LEVEL + COVARIATE_LEVEL + SERIAL_LEVEL + LACK_OF_FIT_LEVEL;
 
 /// A covariate along which the residual varies, with its best shape.
 #[derive(Debug, Clone)]
@@ -74,12 +64,12 @@ const MODEL_CORRELATION: f64 = 0.1;
 impl OmnibusTest {
     /// Something beyond noise is left.
     pub fn rejected(&self) -> bool {
-        !self.within_model_error && (self.p_catalogue < CATALOGUE_LEVEL || self.generic())
+        !self.within_model_error && (self.p_catalogue < CATALOGUE || self.generic())
     }
 
     /// Something is left that need not be in the catalogue.
     pub fn generic(&self) -> bool {
-        !self.within_model_error && (self.p_covariates < COVARIATE_LEVEL || self.p_serial < SERIAL_LEVEL)
+        !self.within_model_error && (self.p_covariates < GENERIC || self.p_serial < SERIAL)
     }
 
     /// Judges the catalogue without `effects`, which were tried on `fit` and taken back.
@@ -107,13 +97,13 @@ impl OmnibusTest {
     /// One omnibus p-value: Bonferroni over the families by their shares of the level; `p_lack_of_fit` where readings repeat.
     pub fn p_value(&self, p_lack_of_fit: Option<f64>) -> f64 {
         [
-            (self.p_catalogue, CATALOGUE_LEVEL),
-            (self.p_covariates, COVARIATE_LEVEL),
-            (self.p_serial, SERIAL_LEVEL),
-            (p_lack_of_fit.unwrap_or(1.0), LACK_OF_FIT_LEVEL),
+            (self.p_catalogue, CATALOGUE),
+            (self.p_covariates, GENERIC),
+            (self.p_serial, SERIAL),
+            (p_lack_of_fit.unwrap_or(1.0), REPLICATES),
         ]
         .into_iter()
-        .map(|(p, level)| p * FAMILY_LEVEL / level)
+        .map(|(p, level)| p * OMNIBUS / level)
         .fold(1.0, f64::min)
     }
 }

@@ -9,6 +9,7 @@ use super::hypothesis::Hypothesis;
 use super::noise::tails::outlying;
 use super::signature::nuisance;
 use crate::effect::EffectTerm;
+use crate::levels::SINGLE_READINGS;
 use crate::measurement_model::MeasurementModel;
 use nalgebra::DMatrix;
 use rand::SeedableRng;
@@ -17,8 +18,6 @@ use wcal_core::median::median;
 
 /// More flagged readings than this share are no longer single readings.
 const MAX_SHARE: f64 = 0.08;
-/// Family-wise level over all readings.
-const LEVEL: f64 = 0.002;
 /// Rounds of flagging and refitting.
 const ROUNDS: usize = 6;
 
@@ -71,7 +70,7 @@ pub fn reject_outliers(
             .filter(|&i| all.counts(i))
             .flat_map(|i| z.row(i).iter().copied().collect::<Vec<_>>())
             .collect();
-        let found = outlying(&judged, most * channels, LEVEL);
+        let found = outlying(&judged, most * channels, SINGLE_READINGS);
         let next: Vec<usize> = found.as_ref().map_or(Vec::new(), |f| {
             let beyond = |i: usize, c: usize| {
                 z[(i, c)].abs() >= f.beyond && current.raw_residual[(i, c)].abs() > ONE_DIGIT * digit[c]

@@ -5,12 +5,10 @@ use super::fit::Fit;
 use super::linear::Basis;
 use super::min_p::f_test;
 use super::socp::minimise;
+use crate::levels::RANGE;
 use crate::measurement_model::MeasurementModel;
 use clarabel::solver::SupportedConeT;
 use nalgebra::{DMatrix, DVector};
-
-/// Chance below which the data insist on a part that physics does not allow.
-const LEVEL: f64 = 0.01;
 
 /// Whether every law with a largest share keeps to it, or would explain as well if held there.
 pub fn range_check(system: &dyn MeasurementModel, fit: &Fit) -> bool {
@@ -57,7 +55,7 @@ fn holds(fit: &Fit, columns: std::ops::Range<usize>, share: f64) -> bool {
         .collect();
     let free: Vec<f64> = own.iter().map(|&(j, c)| fit.coefficients[(j, c)]).collect();
     let Some(rise) = held_rise(fit, &own, &directions, &free, &largest) else { return true };
-    f_test(rise, fit.ssr + rise, fit.dof + over as f64, over) > LEVEL
+    f_test(rise, fit.ssr + rise, fit.dof + over as f64, over) > RANGE
 }
 
 /// Rise of the misfit where the effect's part is held within `largest` at every reading: a bounded least squares fit, convex.

@@ -3,8 +3,8 @@
 use super::fit::{Status, fit};
 use super::hypothesis::Hypothesis;
 use super::min_p::f_test;
-use super::omnibus::CATALOGUE_LEVEL;
 use crate::effect::{EffectModel, EffectTerm, Role};
+use crate::levels::CATALOGUE;
 use crate::measurement_model::MeasurementModel;
 
 /// Refits `terms` from each start and keeps the best physical one (else the best).
@@ -96,7 +96,7 @@ fn refine(system: &dyn MeasurementModel, base: &Hypothesis, from: &Hypothesis) -
             }
         }
     }
-    best.filter(|(p, _)| p * f64::from(tried) < CATALOGUE_LEVEL).map(|(_, h)| h)
+    best.filter(|(p, _)| p * f64::from(tried) < CATALOGUE).map(|(_, h)| h)
 }
 
 /// Places to start from: the amplitude shared out, shapes from their grids in rising order.

@@ -3,18 +3,18 @@
 
 use super::ambiguity::compared;
 use super::fit::{Fit, Weights, fit};
-use super::hypothesis::{
-    AMBIGUITY_LEVEL, Gate, Hypothesis, NotIdentified, RankedHypothesis, Rejection, SearchResult,
-};
+use super::hypothesis::{Gate, Hypothesis, NotIdentified, Rejection};
 use super::inference::not_told;
 use super::min_p::f_test;
-use super::omnibus::{CATALOGUE_LEVEL, OmnibusTest, omnibus_test};
+use super::omnibus::{OmnibusTest, omnibus_test};
 use super::options::Options;
 use super::outliers::{initial_outliers, reject_outliers};
 use super::refine::{refine_level, refit as refit_starts, settle};
+use super::search_result::{RankedHypothesis, SearchResult};
 use super::signature::{Signature, nuisance, signatures_of_catalogue};
 use super::subsets::best_subsets;
 use crate::effect::{EffectTerm, TermKey};
+use crate::levels::{CATALOGUE, LEAD, RIVAL};
 use crate::measurement_model::MeasurementModel;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -79,43 +79,6 @@ impl Search {
     pub fn is_inadequate(&self) -> bool {
         let found = !self.best.fit.terms.is_empty() || !self.best.flagged.is_empty();
         found || self.test.rejected() || self.generic_driver_wins()
-    }
-
-    /// The explanations that the data do not reject (Cox's test), and what they are worth.
-    pub fn compare_rivals(&self, system: &dyn MeasurementModel) -> SearchResult {
-        let Self { options, base, best, .. } = self;
-        let mut refitted = self.refitted.clone();
-        let outliers = outlier_index(system);
-        let variance = best.fit.variance();
-        let top = best.criterion(&base.fit, variance);
-        let behind = |h: &Hypothesis| h.criterion(&base.fit, variance) - top;
-        let p_values = compared(system, best, &mut refitted, options);
-        let survivors: Vec<Hypothesis> = refitted
-            .iter()
-            .zip(&p_values)
-            .filter(|(h, p)| **p >= AMBIGUITY_LEVEL || not_told(system, base, best, h, behind(h)))
-            .map(|(h, _)| h.clone())
-            .collect();
-        let line = |(h, p_value): (&Hypothesis, &f64)| RankedHypothesis {
-            effects: names(system, &h.key(system, outliers)),
-            laws: laws(system, h),
-            gain: (base.fit.ssr - h.fit.ssr) / variance,
-            behind: behind(h),
-            parameters: h.parameters(&base.fit) as usize,
-            p_value: *p_value,
-        };
-        let evidence = refitted.iter().zip(&p_values).map(line).collect();
-        SearchResult {
-            base: base.clone(),
-            first_test: self.first_test.clone(),
-            best: best.clone(),
-            last_test: self.test.clone(),
-            survivors,
-            evidence,
-            refitted,
-            rejections: self.rejections.clone(),
-            covariate_beats_catalogue: self.generic_driver_wins(),
-        }
     }
 }
 
@@ -195,11 +158,48 @@ pub fn select_model(
     let candidate = physical[0].clone();
     search.rejections.extend(unidentified(&candidate));
     let p = step_p(&search.best, &candidate, base, &search.test);
-    if p > CATALOGUE_LEVEL || candidate.criterion(base, scale) >= search.best.criterion(base, scale) {
+    if p > CATALOGUE || candidate.criterion(base, scale) >= search.best.criterion(base, scale) {
         return false;
     }
     take(system, search, physical);
     true
+}
+
+/// The explanations that the data do not reject (Cox's test), and what they are worth.
+pub fn compare_rivals(system: &dyn MeasurementModel, search: &Search) -> SearchResult {
+    let Search { options, base, best, .. } = search;
+    let mut refitted = search.refitted.clone();
+    let outliers = outlier_index(system);
+    let variance = best.fit.variance();
+    let top = best.criterion(&base.fit, variance);
+    let behind = |h: &Hypothesis| h.criterion(&base.fit, variance) - top;
+    let p_values = compared(system, best, &mut refitted, options);
+    let survivors: Vec<Hypothesis> = refitted
+        .iter()
+        .zip(&p_values)
+        .filter(|(h, p)| **p >= RIVAL || not_told(system, base, best, h, behind(h)))
+        .map(|(h, _)| h.clone())
+        .collect();
+    let line = |(h, p_value): (&Hypothesis, &f64)| RankedHypothesis {
+        effects: names(system, &h.key(system, outliers)),
+        laws: laws(system, h),
+        gain: (base.fit.ssr - h.fit.ssr) / variance,
+        behind: behind(h),
+        parameters: h.parameters(&base.fit) as usize,
+        p_value: *p_value,
+    };
+    let evidence = refitted.iter().zip(&p_values).map(line).collect();
+    SearchResult {
+        base: base.clone(),
+        first_test: search.first_test.clone(),
+        best: best.clone(),
+        last_test: search.test.clone(),
+        survivors,
+        evidence,
+        refitted,
+        rejections: search.rejections.clone(),
+        covariate_beats_catalogue: search.generic_driver_wins(),
+    }
 }
 
 /// The explanations of a size, the first of them the best so far; richer laws of it where something is left.
@@ -378,12 +378,11 @@ fn ahead(refused: &[Refused], taken: &Hypothesis, base: &Fit) -> Option<NotIdent
 
 /// One generic score alone explains the residual better than the accepted effects do.
 fn covariate_wins(base: &Hypothesis, test: &OmnibusTest, best: &Hypothesis, variance: f64) -> bool {
-    const MARGIN: f64 = 10.0;
     let Some(score) = test.covariates.first() else { return false };
     // Periods and steps were scanned: some forty places each.
     let scanned = if matches!(score.shape, "sinusoid" | "step") { 2.0 * 40f64.ln() } else { 2.0 };
     let by_covariate = (base.fit.ssr - score.gain) / variance + 2.0 * score.dimension as f64 + scanned;
-    test.generic() && by_covariate + MARGIN < best.criterion(&base.fit, variance)
+    test.generic() && by_covariate + LEAD < best.criterion(&base.fit, variance)
 }
 
 /// Readings stand out singly although nothing smooth is left.

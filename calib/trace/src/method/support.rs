@@ -11,10 +11,9 @@
 use super::fit::Fit;
 use super::min_p::f_test;
 use super::signature::nuisance;
+use crate::levels::DELETION;
 use nalgebra::DVector;
 
-/// Level at which a term has to hold without a set of readings. The search has named it at a far stricter one already.
-const LEVEL: f64 = 0.01;
 /// An eigenvalue this near to one belongs to a direction that the deleted readings alone determine.
 const OWN_DIRECTION: f64 = 1e-9;
 
@@ -65,6 +64,6 @@ pub fn rests_on(with: &Fit, without: &Fit, sets: &[Vec<usize>]) -> Option<usize>
         let (a, b) = (rich.without(set), plain.without(set));
         let extra = a.rank - b.rank;
         let dof = values - (set.len() * rich.channels) as f64 - b.rank;
-        extra < 0.5 || dof - extra < 0.5 || f_test(b.ssr - a.ssr, b.ssr, dof, extra as usize) >= LEVEL
+        extra < 0.5 || dof - extra < 0.5 || f_test(b.ssr - a.ssr, b.ssr, dof, extra as usize) >= DELETION
     })
 }

@@ -5,16 +5,14 @@
 //! error^2 / floor^2 <= max(4, F_{0.999}(n, dof))          n left-out values, dof of the floor's replicates
 //! ```
 
-use super::held_out::Errors;
 use super::judgement::MIN_COVERAGE;
+use super::left_out::Errors;
 use super::session_model::{FloorStatement, SessionModel};
 use crate::method::hypothesis::Hypothesis;
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// At twice the floor three quarters of the error's variance is no noise of the readings.
 const FAR_ABOVE: f64 = 2.0;
-/// Level at which the error is above the floor by more than chance.
-const ABOVE_LEVEL: f64 = 1e-3;
 /// Degrees of freedom of a floor that does not state them.
 const FLOOR_DOF: f64 = 8.0;
 
@@ -54,6 +52,7 @@ pub fn far_above_floor<M: SessionModel>(
     accepted: &Hypothesis,
     errors: &Errors,
     floor: &FloorStatement,
+    level: f64,
 ) -> Option<Unfit> {
     let after = errors.after.as_ref()?;
     let (error, points) = (*after.rmse.get(model.quantities()[0].key)?, after.points as f64);
@@ -69,6 +68,6 @@ pub fn far_above_floor<M: SessionModel>(
     // A level that is left out at the end of the range is extrapolated to: intervals that say so, on a noise that is the floor's, are no fault.
     let stated = accepted.fit.readings_variance().sqrt() * model.noise_factor() <= FAR_ABOVE * floor.sd
         && errors.coverage95.is_some_and(|c| c >= MIN_COVERAGE);
-    let far = ratio > FAR_ABOVE && chance < ABOVE_LEVEL && !stated;
+    let far = ratio > FAR_ABOVE && chance < level && !stated;
     far.then_some(Unfit::FarAboveFloor([error, floor.sd * errors.noise_ratio.max(1.0)]))
 }

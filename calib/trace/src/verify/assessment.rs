@@ -11,10 +11,11 @@
 use super::acceptance::{Unfit, far_above_floor};
 use super::decision::Decision;
 use super::error_summary::{coverage95, summarise};
-use super::held_out::{Errors, SharedNoise, noise_ratio};
+use super::left_out::{Errors, SharedNoise, noise_ratio};
 use super::refutation::refuted;
 use super::session_model::{HeldOut, Quantity, Record, SessionModel};
 use crate::error::TraceError;
+use crate::levels::{ABOVE_FLOOR, HOLDOUT, SINGLE_READINGS};
 use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
@@ -26,11 +27,6 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor, Normal, StudentsT};
 use wcal_core::verify_document::{HoldoutJudgement, HoldoutOutcome};
 use wcal_core::{Look, ResidualRecord};
 
-/// Level of the check over all looks: the first has half of it. Far below the omnibus test's, since a memory effect's curvature is only
-/// linearised here.
-pub const HOLDOUT_LEVEL: f64 = 2e-4;
-/// Family-wise level of single held-out readings.
-const SINGLE_LEVEL: f64 = 1e-3;
 /// More of them than this share are no single readings; of fewer than ten none is.
 const MAX_SHARE: f64 = 0.1;
 
@@ -118,11 +114,11 @@ fn judgement<M: SessionModel>(
 ) -> HoldoutJudgement {
     let (noise, accepted) = (&decision.noise, &decision.conclusion.accepted);
     let p = holdout_p(whole, accepted, noise, flagged);
-    let level = look.level(HOLDOUT_LEVEL);
+    let level = look.level(HOLDOUT);
     // The error without readings that are set aside, against what repeats differ by.
     let trimmed = errors.trimmed.as_ref().map_or(errors.after.clone(), |[_, after]| after.clone());
     let trimmed = Errors { after: trimmed, ..errors.clone() };
-    let far = far_above_floor(whole, accepted, &trimmed, &decision.floor);
+    let far = far_above_floor(whole, accepted, &trimmed, &decision.floor, look.level(ABOVE_FLOOR));
     let sd: Vec<f64> = noise.reading_sd(&whole.noise_inputs());
     let counts = |i: &usize| whole.scored()[*i] && !flagged.contains(i);
     let sd: Vec<f64> = (0..sd.len()).filter(counts).map(|i| sd[i] * whole.noise_factor()).collect();
@@ -194,7 +190,7 @@ fn flagged<M: SessionModel>(whole: &M, models: [&Hypothesis; 2], noise: &Noise) 
         }
         _ => 2.0 * Normal::standard().sf(x),
     };
-    let level = SINGLE_LEVEL / (whole.measured().ncols() * rows.len().max(1)) as f64;
+    let level = SINGLE_READINGS / (whole.measured().ncols() * rows.len().max(1)) as f64;
     let beyond = |i: &usize| left.iter().all(|r| tail(r.row(*i).amax() / sd[*i]) < level);
     let out: Vec<usize> = rows.iter().copied().filter(beyond).collect();
     if out.len() as f64 > MAX_SHARE * rows.len() as f64 { Vec::new() } else { out }

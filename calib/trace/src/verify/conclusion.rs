@@ -1,14 +1,16 @@
 //! The verdict, written once from what was found on the open readings, in the order of docs/src/formats.md.
 
 use super::acceptance::{Unfit, readable};
-use super::evidence::Explained;
+use super::explained::Explained;
 use super::session_model::SessionModel;
 use crate::effect::{EffectTerm, LawRequirement};
 use crate::error::TraceError;
-use crate::method::hypothesis::{Gate, Hypothesis, SearchResult};
+use crate::levels::REPLICATES;
+use crate::method::hypothesis::{Gate, Hypothesis};
 use crate::method::inference::in_class;
 use crate::method::lack_of_fit::LackOfFit;
-use crate::method::omnibus::{CovariateScore, LACK_OF_FIT_LEVEL, OmnibusTest};
+use crate::method::omnibus::{CovariateScore, OmnibusTest};
+use crate::method::search_result::SearchResult;
 use wcal_core::verify_document::{NamedEffect, TwinFault, UnknownEffect, Verdict};
 
 /// Conclusion in parts.
@@ -117,7 +119,7 @@ fn removal_p<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis, e
     if Some(effect) == model.outliers() {
         return h.flag_p;
     }
-    let without = h.without(model, |_, t| t.effect == effect, 15);
+    let without = h.without(model, |_, t| t.effect == effect);
     without.map_or(1.0, |without| without.removal_p(&h.fit, &found.first_test.family))
 }
 
@@ -193,8 +195,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         let all = found.survivors.iter().zip(&same_class).filter(|_| something);
         let rivals = all.filter(|(h, of_class)| rival(h, **of_class)).map(|(h, _)| h.clone()).collect();
         let against_pure_error = model.lack_of_fit(found.accepted()).filter(|_| !explained.exact);
-        let lack =
-            |(l, driver): (LackOfFit, UnknownEffect)| (l.p_value < LACK_OF_FIT_LEVEL).then_some(driver);
+        let lack = |(l, driver): (LackOfFit, UnknownEffect)| (l.p_value < REPLICATES).then_some(driver);
         Self {
             model,
             explained,
@@ -393,7 +394,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             join(&withdrawn.names),
             format!("{after} {unit}").trim_end()
         );
-        let lack = self.model.lack_of_fit(&base).is_some_and(|(l, _)| l.p_value < LACK_OF_FIT_LEVEL);
+        let lack = self.model.lack_of_fit(&base).is_some_and(|(l, _)| l.p_value < REPLICATES);
         let (verdict, reason) = if self.found().first_test.generic() || lack {
             let left = "A residual remains that no catalogued effect explains.";
             (Verdict::UnknownEffect, format!("{found} {left}"))

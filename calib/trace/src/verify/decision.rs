@@ -1,17 +1,18 @@
 //! The decision: verdict, model, calibration and every claim that the sealed readings will be held against. It is complete before they come out.
 
-use super::acceptance::{self, Unfit};
-use super::conclusion::{Conclusion, Facts, Withdrawn};
-use super::evidence::Explained;
-use super::held_out::{LeftOut, cross_validate};
+use super::acceptance::{Unfit, far_above_floor};
+use super::conclusion::{Conclusion, Facts};
+use super::cross_validate::Validated;
+use super::explained::Explained;
+use super::left_out::LeftOut;
+use super::request::VerifyRequest;
 use super::session_model::{FloorStatement, SessionModel};
-use super::support::supported;
 use super::witness::{self, Witness};
 use crate::error::TraceError;
+use crate::levels::ABOVE_FLOOR;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
 use crate::method::noise::Noise;
-use crate::verify::options::VerifyRequest;
 use serde_json::{Value, json};
 use wcal_core::Decide;
 use wcal_core::verify_document::{EffectAblation, TwinFault};
@@ -71,52 +72,27 @@ impl<M: SessionModel> Decision<M> {
 /// Decides on the open readings alone.
 ///
 /// # Errors
-/// Where no surviving explanation has the effects that are to be accepted.
+/// Where a witness cannot use its data.
 pub fn decide<M: SessionModel>(
-    model: M,
-    mut explained: Explained,
+    validated: Validated<M>,
     witnesses: &[&dyn Witness<M>],
     request: &VerifyRequest,
 ) -> Result<Decision<M>, TraceError> {
-    let seed = request.search.seed;
-    let faults = model.twin_faults();
-    let facts = Facts::of(&model, &explained, &faults);
-    // What is accepted: what was asked for, else what the data support term by term.
-    let asked = facts.asked(&request.accept)?.cloned();
-    let on_request = asked.is_some();
-    let mut accepted = match asked {
-        Some(chosen) => chosen,
-        None if facts.is_ambiguous() => facts.accepted().clone(),
-        None => supported(&model, &explained.found, facts.accepted()),
-    };
-    // What raises the error of readings that are left out in turn is no explanation of them.
-    let (found, mut noise) = (&explained.found, &explained.noise);
-    let mut left_out = cross_validate(&model, found, &accepted, noise, on_request, seed);
-    let rise = left_out.rise(&model).filter(|_| !accepted.fit.terms.is_empty() && !on_request);
-    let withdrawn = rise.filter(|_| facts.asserts(&accepted, on_request)).map(|errors| Withdrawn {
-        names: facts.effects(&accepted).into_iter().map(|e| e.id).collect(),
-        errors,
-    });
-    if withdrawn.is_some() {
-        (accepted, noise) = (found.base.clone(), &explained.declared_noise);
-        left_out = cross_validate(&model, found, &accepted, noise, on_request, seed);
-    }
-    let floor = model.floor(&accepted, noise, found.left().is_some());
-    let mut tests = explained.tests.clone();
-    let mut refuted = None;
+    let Validated { model, mut explained, faults, accepted, on_request, withdrawn, noise, left_out } =
+        validated;
+    let (seed, claims) = (request.search.seed, request.claims.clone());
+    let floor = model.floor(&accepted, &noise, explained.found.left().is_some());
+    let mut unfit = model.useless(&accepted).map(Unfit::Useless);
     for witness in witnesses {
-        let test = witness::test(*witness, &model, &accepted, &mut tests)?;
-        refuted = refuted.or(test.filter(|t| t.refuted).map(|t| Unfit::Useless(t.sentence)));
+        let test = witness::test(*witness, &model, &accepted, &mut explained.tests)?;
+        unfit = unfit.or(test.filter(|t| t.refuted).map(|t| Unfit::Useless(t.sentence)));
     }
-    let unfit = match model.useless(&accepted) {
-        Some(why) => Some(Unfit::Useless(why)),
-        None => refuted.or_else(|| acceptance::far_above_floor(&model, &accepted, &left_out.errors, &floor)),
-    };
+    let unfit = unfit.or_else(|| far_above_floor(&model, &accepted, &left_out.errors, &floor, ABOVE_FLOOR));
+    let facts = Facts::of(&model, &explained, &faults);
     let conclusion = facts.conclude(accepted, on_request, withdrawn, unfit);
-    let ablations = left_out.ablations(&model, found, &conclusion.accepted, noise);
-    let calibration = model.calibration(&found.base, &conclusion.accepted, noise, floor.sd, seed);
-    let (noise, claims) = (noise.clone(), request.claims.clone());
-    explained.tests = tests;
+    let (base, accepted) = (&explained.found.base, &conclusion.accepted);
+    let ablations = left_out.ablations(&model, &explained.found, accepted, &noise);
+    let calibration = model.calibration(base, accepted, &noise, floor.sd, seed);
     Ok(Decision {
         model,
         explained,

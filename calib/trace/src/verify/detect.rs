@@ -8,8 +8,9 @@
 
 use super::session_model::SessionModel;
 use crate::effect::{EffectTerm, Parameter, Role};
+use crate::levels::CATALOGUE;
 use crate::method::fit::Fit;
-use crate::method::omnibus::{CATALOGUE_LEVEL, OmnibusTest};
+use crate::method::omnibus::OmnibusTest;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use wcal_core::verify_document::Detectable;
 
@@ -116,7 +117,7 @@ fn smallest<M: SessionModel>(
     effect: usize,
 ) -> Option<DetectableSize> {
     let sd = fit.variance().sqrt();
-    let critical = test.family.critical(CATALOGUE_LEVEL);
+    let critical = test.family.critical(CATALOGUE);
     let laws = &model.catalogue()[effect].laws;
     let signatures = test.signatures.iter().filter(|a| a.term.effect == effect);
     signatures

@@ -1,18 +1,15 @@
 //! Feasible generalised least squares, iterated: what the noise and the instrument are like under the accepted model, until neither changes the other.
 
-use super::evidence::{Evidence, Explained, independent};
+use super::evidence::{Evidence, independent};
+use super::request::VerifyRequest;
 use super::session_model::SessionModel;
 use crate::error::TraceError;
 use crate::measurement_model::MeasurementModel;
-use crate::method::earned::earned;
 use crate::method::fit::{Weights, fit};
-use crate::method::hypothesis::{Gate, Hypothesis, Rejection, SearchResult};
-use crate::method::noise::{CORRELATED_PRICE, Noise};
+use crate::method::hypothesis::Hypothesis;
+use crate::method::noise::CORRELATED_PRICE;
 use crate::method::noise_estimator::{NoiseEstimator, same_whitening};
-use crate::method::omnibus::omnibus_test;
-use crate::method::options::Options;
 use crate::method::search::declared;
-use crate::verify::options::VerifyRequest;
 
 /// A residual below this share of the measured values is rounding.
 const ROUNDING: f64 = 1e-13;
@@ -84,68 +81,4 @@ fn weights_of<M: SessionModel>(
     let weights = independent(model).masked(|i| h.weights.counts(i));
     let refitted = Hypothesis { fit: fit(model, &h.fit.terms, &weights, 15)?, weights, ..h.clone() };
     Some(judge.noise(&refitted, &[])?.0.weights.unmasked())
-}
-
-/// The noise that a decision rests on, and what is left under it. Correlated noise that takes up everything is one description; a smooth course
-/// that no catalogue has may be the better one.
-///
-/// # Errors
-/// Where the declared model's residuals have no noise.
-pub fn explained<M: SessionModel>(
-    e: Evidence<M>,
-    mut found: SearchResult,
-) -> Result<(M, Explained), TraceError> {
-    let Evidence { model, options, correlated_gain, plain_test, exact, tests, rejections, .. } = e;
-    found.rejections.extend(rejections);
-    let judge = NoiseEstimator::new(&model, options.seed).with_correlated_gain(correlated_gain);
-    let base = declared(&model, &independent(&model), options.seed).ok_or(TraceError::NoSolution)?;
-    let declared_noise = judge.noise(&base, &[]).ok_or(TraceError::NoSolution)?.0;
-    if exact {
-        let noise = Noise::none(&declared_noise);
-        let explained = Explained { found, declared_noise: noise.clone(), noise, exact, tests };
-        return Ok((model, explained));
-    }
-    let nothing = found.best.fit.terms.is_empty() && found.left().is_none();
-    let correlated = |h: &Hypothesis| judge.noise(h, &[]).is_some_and(|n| n.0.correlated.is_some());
-    if nothing
-        && correlated(&found.best)
-        && let Some(scores) = judge.covariate_scores(&found.best, &plain_test)
-    {
-        found.first_test.covariates = scores;
-        found.covariate_beats_catalogue = true;
-    }
-    if model.judged_left_out() {
-        withdraw_below_model_error(&model, &mut found, &options);
-    }
-    let columns = found.left().and_then(|g| g.covariates.first()).map_or(Vec::new(), |d| d.columns.clone());
-    let noise = judge.noise(&found.best, &columns).or_else(|| judge.noise(&found.best, &[]));
-    let noise = noise.map_or_else(|| declared_noise.clone(), |n| n.0);
-    let mut explained = Explained { found, noise, declared_noise, exact, tests };
-    model.complete(&mut explained, &options);
-    Ok((model, explained))
-}
-
-/// Chance below which something is there, even where the name that was found for it is taken back.
-const NEGLIGIBLE_CHANCE: f64 = 1e-3;
-
-/// Takes back what does not earn its name on readings that are left out, and calls what is then left by its size.
-fn withdraw_below_model_error(system: &dyn MeasurementModel, found: &mut SearchResult, options: &Options) {
-    let (best, within) = earned(system, &found.best);
-    let mut small = found.last_test.is_small(&found.best.fit);
-    if !within.is_empty() {
-        // Where nothing was left beside it, what is left is what was taken back: a finding of chance, or more than that.
-        let nothing_beside = small || !found.last_test.generic();
-        found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
-        found.last_test.leave_out(&best.fit, &within);
-        let by_chance = found.last_test.p_covariates.min(found.last_test.p_serial) >= NEGLIGIBLE_CHANCE;
-        small = (nothing_beside && by_chance) || found.last_test.is_small(&best.fit);
-        let lacks = |h: &Hypothesis| h.fit.terms.iter().all(|t| !within.contains(&t.effect));
-        found.survivors = vec![best.clone()];
-        found.refitted.retain(lacks);
-        found.refitted.insert(0, best.clone());
-        found.best = best;
-        let names = within.iter().map(|&e| system.catalogue()[e].id.to_owned()).collect();
-        found.rejections.push(Rejection { effects: names, gate: Gate::LeftOutError, why: String::new() });
-    }
-    found.last_test.within_model_error = small;
 }

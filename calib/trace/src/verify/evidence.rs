@@ -3,12 +3,15 @@
 use super::session_model::SessionModel;
 use crate::error::TraceError;
 use crate::method::fit::Weights;
-use crate::method::hypothesis::{Hypothesis, Rejection, SearchResult};
-use crate::method::noise::{CORRELATED_GAIN, Noise};
+use crate::method::hypothesis::{Hypothesis, Rejection};
+use crate::method::noise::correlated_gain;
 use crate::method::omnibus::OmnibusTest;
 use crate::method::options::Options;
 use crate::method::search::Search;
 use wcal_core::verify_document::WitnessTest;
+
+/// Searches at most: each is made under the noise and the instrument that the one before shows.
+pub const MAX_ROUNDS: usize = 5;
 
 /// What is known of a session.
 pub struct Evidence<M> {
@@ -24,6 +27,8 @@ pub struct Evidence<M> {
     pub search: Search,
     /// What independent readings would follow.
     pub plain_test: OmnibusTest,
+    /// Searches that were made.
+    pub rounds: usize,
     /// Nothing but rounding is left by the declared model: structure in it means nothing.
     pub exact: bool,
     /// What each witness says of each hypothesis.
@@ -34,20 +39,6 @@ pub struct Evidence<M> {
     pub rejections: Vec<Rejection>,
 }
 
-/// The search, its rivals and the noise of both models, when nothing changes any more.
-pub struct Explained {
-    /// Search under the final noise.
-    pub found: SearchResult,
-    /// Noise of the accepted model's residuals.
-    pub noise: Noise,
-    /// Noise of the declared model's residuals.
-    pub declared_noise: Noise,
-    /// Nothing but rounding is left by the declared model: structure in it means nothing.
-    pub exact: bool,
-    /// What each witness says of each hypothesis.
-    pub tests: Vec<WitnessTest>,
-}
-
 impl<M: SessionModel> Evidence<M> {
     /// Nothing but the declared model under independent readings.
     ///
@@ -56,7 +47,7 @@ impl<M: SessionModel> Evidence<M> {
     pub fn new(model: M, options: Options) -> Result<Self, TraceError> {
         let weights = independent(&model);
         let search = Search::new(&model, &weights, &options).ok_or(TraceError::NoSolution)?;
-        let (plain_test, correlated_gain) = (search.first_test.clone(), CORRELATED_GAIN);
+        let (plain_test, correlated_gain) = (search.first_test.clone(), correlated_gain());
         Ok(Self {
             model,
             options,
@@ -64,6 +55,7 @@ impl<M: SessionModel> Evidence<M> {
             correlated_gain,
             search,
             plain_test,
+            rounds: 0,
             exact: false,
             tests: Vec::new(),
             refuted: Vec::new(),

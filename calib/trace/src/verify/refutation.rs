@@ -13,10 +13,8 @@
 //! ```
 
 use super::session_model::HeldOut;
+use crate::levels::{RIVAL, z};
 use std::collections::BTreeMap;
-
-/// Standard deviations below what a right explanation gives: one in a hundred.
-const REFUTES: f64 = 2.33;
 
 /// Standard deviations of the sum over groups beyond which a rise is none of a few groups.
 const BEYOND_GROUPS: f64 = 2.0;
@@ -34,7 +32,7 @@ pub fn refuted(before: &[HeldOut], after: &[HeldOut], sd: &[f64]) -> bool {
         }
     }
     change > 0.0
-        && gain - change < -REFUTES * 2.0 * f64::sqrt(change)
+        && gain - change < -z(RIVAL) * 2.0 * f64::sqrt(change)
         && beyond_scatter(&rises.into_values().collect::<Vec<f64>>())
 }
 

@@ -2,17 +2,18 @@
 
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::Weights;
-use crate::method::hypothesis::{Hypothesis, SearchResult};
+use crate::method::hypothesis::Hypothesis;
 use crate::method::lack_of_fit::LackOfFit;
 use crate::method::noise::Noise;
 use crate::method::options::Options;
-use crate::verify::evidence::Explained;
-use wcal_core::ResidualRecord;
+use crate::method::search_result::SearchResult;
+use crate::verify::explained::Explained;
 use wcal_core::observation::Role;
 use wcal_core::verify_document::{
     EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, NoisePart, SecondWitness, TwinFault,
     UnknownEffect,
 };
+use wcal_core::{ResidualRecord, Sealed};
 
 /// A held-out error of `verify.json`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -122,6 +123,8 @@ pub trait SessionModel: SessionText + Sized {
     /// Fitted values of an effect with intervals, in the session's units.
     fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter>;
 
+    /// Why the readings cannot be used at all.
+    fn refusal(&self, sealed: &Sealed<Self::Row>) -> Option<String>;
     /// Twin check: faults of an outside twin.
     fn twin_faults(&self) -> Vec<TwinFault> {
         Vec::new()

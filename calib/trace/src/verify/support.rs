@@ -3,10 +3,11 @@
 
 use super::session_model::SessionModel;
 use crate::effect::Role;
+use crate::levels::CATALOGUE;
 use crate::method::fit::Fit;
-use crate::method::hypothesis::{Hypothesis, SearchResult};
+use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
-use crate::method::omnibus::CATALOGUE_LEVEL;
+use crate::method::search_result::SearchResult;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
@@ -24,9 +25,9 @@ pub fn supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesi
 fn least_supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Option<Hypothesis> {
     (0..h.fit.terms.len())
         .filter_map(|term| {
-            let without = h.without(model, |k, _| k == term, 15)?;
+            let without = h.without(model, |k, _| k == term)?;
             let p = without.removal_p(&h.fit, &found.first_test.family);
-            (p >= CATALOGUE_LEVEL || amplitudes_hold_zero(model, &h.fit, term)).then_some((p, without))
+            (p >= CATALOGUE || amplitudes_hold_zero(model, &h.fit, term)).then_some((p, without))
         })
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, without)| without)

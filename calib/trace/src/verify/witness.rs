@@ -1,10 +1,11 @@
 //! Sources of data beside the readings, that hypotheses about the same instrument are held against.
 
-use super::evidence::{Evidence, independent};
-use super::options::VerifyRequest;
+use super::evidence::{Evidence, MAX_ROUNDS, independent};
+use super::request::VerifyRequest;
 use super::session_model::SessionModel;
 use crate::error::TraceError;
-use crate::method::hypothesis::{Gate, Hypothesis, Rejection, SearchResult};
+use crate::method::hypothesis::{Gate, Hypothesis, Rejection};
+use crate::method::search_result::SearchResult;
 use wcal_core::verify_document::WitnessTest;
 
 /// A measurement of the same instrument with noise of its own.
@@ -16,17 +17,17 @@ pub trait Witness<M: SessionModel>: Sync {
     fn test(&self, model: &M, h: &Hypothesis) -> Result<Option<WitnessTest>, TraceError>;
 }
 
-/// Holds the declared model and every explanation that remains against each witness. What a witness refutes no longer remains. True where it refutes
+/// Holds the declared model and every explanation that remains against each witness. What a witness refutes no longer remains. None where it refutes
 /// all that remain: effects that all of them have are left out, and the search begins anew, since while one of them stands it is the answer.
 ///
 /// # Errors
 /// Where a witness cannot use its data.
 pub fn test_witnesses<M: SessionModel>(
     e: &mut Evidence<M>,
-    found: &mut SearchResult,
+    mut found: SearchResult,
     witnesses: &[&dyn Witness<M>],
     request: &VerifyRequest,
-) -> Result<bool, TraceError> {
+) -> Result<Option<SearchResult>, TraceError> {
     let mut more: Vec<String> = Vec::new();
     for witness in witnesses {
         test(*witness, &e.model, &found.base, &mut e.tests)?;
@@ -51,13 +52,13 @@ pub fn test_witnesses<M: SessionModel>(
         let rejected = |effects| Rejection { effects, gate: Gate::Witness, why: String::new() };
         e.rejections.extend(names.into_iter().map(rejected));
     }
-    if more.is_empty() {
-        return Ok(false);
+    if more.is_empty() || e.rounds >= MAX_ROUNDS {
+        return Ok(Some(found));
     }
     e.refuted.extend(more);
     e.model = e.model.without(&e.refuted);
     let weights = independent(&e.model);
-    Ok(e.restart(weights))
+    Ok(if e.restart(weights) { None } else { Some(found) })
 }
 
 /// What a witness says of `h`, kept in `tests` where it is new.

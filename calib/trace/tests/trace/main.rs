@@ -10,11 +10,11 @@
 
 use wcal_trace::MeasurementModel;
 use wcal_trace::method::fit::Weights;
-use wcal_trace::method::hypothesis::SearchResult;
 use wcal_trace::method::options::Options;
 use wcal_trace::method::search::{
-    Search, project_signatures, refit, screen_subsets, select_model, test_adequacy,
+    Search, compare_rivals, project_signatures, refit, screen_subsets, select_model, test_adequacy,
 };
+use wcal_trace::method::search_result::SearchResult;
 
 /// One search under a noise that is known, as `verify` makes it in each round.
 fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Options) -> Option<SearchResult> {
@@ -27,7 +27,7 @@ fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Options) -
             break;
         }
     }
-    Some(search.compare_rivals(system))
+    Some(compare_rivals(system, &search))
 }
 
 mod engine_stages;

@@ -7,12 +7,14 @@ use wcal_core::observation::{TwinLabel, WhiskerData, WhiskerRow};
 use wcal_core::verify_document::{TwinFault, Verdict};
 use wcal_core::{Decide, Ledger, SessionData};
 use wcal_trace::effect::EffectTerm;
+use wcal_trace::levels::HOLDOUT;
 use wcal_trace::measurement_model::MeasurementModel;
 use wcal_trace::method::fit::{Weights, fit};
-use wcal_trace::method::hypothesis::{Hypothesis, SearchResult};
+use wcal_trace::method::hypothesis::Hypothesis;
 use wcal_trace::method::noise_estimator::NoiseEstimator;
 use wcal_trace::method::options::Options;
-use wcal_trace::verify::assessment::{HOLDOUT_LEVEL, holdout_p};
+use wcal_trace::method::search_result::SearchResult;
+use wcal_trace::verify::assessment::holdout_p;
 use wcal_trace::verify::conclusion::Facts;
 use wcal_trace::verify::detect;
 use wcal_trace::verify::error_summary::{coverage95, summarise};
@@ -205,7 +207,7 @@ fn a_holdout_like_the_points_agrees_and_a_moved_one_does_not() {
         holdout_p(&whole, &found.base, &noise, &[]).unwrap()
     };
     assert!(p_of(0.0) > 0.01);
-    assert!(p_of(5.0) < HOLDOUT_LEVEL);
+    assert!(p_of(5.0) < HOLDOUT);
 }
 
 // Several sessions.

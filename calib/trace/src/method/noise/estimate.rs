@@ -5,21 +5,24 @@
 //!
 //! A part is taken up where it gains more than chance would; what the design cannot tell is "not known", not zero.
 
+use super::inputs::NoiseInputs;
 use super::likelihood::{MeanModel, Misfit, best_of, descend, misfit, standardised};
-use super::parts::{Noise, NoiseInputs};
+use super::parts::Noise;
 use super::spread_model::{SpreadModel, law_of};
 use super::tails::tails;
 use super::whitening::Weights;
+use crate::levels::{NOISE_PART, NORMAL_95, PRICE, gain, gain_at_bound};
 use wcal_core::median::median;
 use wcal_core::verify_document::NoisePart;
 
-/// Gain in -2 log restricted likelihood from which the correlated part is taken up (chi-squared of 2, 0.3 %).
-pub const CORRELATED_GAIN: f64 = 11.6;
+/// Gain in -2 log restricted likelihood from which the correlated part (its size and its time constant) is taken up.
+pub fn correlated_gain() -> f64 {
+    gain(NOISE_PART, 2)
+}
+
 /// The same where a test rejects independent readings: whether something is shared is decided, only what it is is open. What its two
 /// parameters cost (Akaike).
-pub const CORRELATED_PRICE: f64 = 4.0;
-/// The same for pose scatter (one parameter at its bound, 0.3 %).
-const POSE_GAIN: f64 = 7.5;
+pub const CORRELATED_PRICE: f64 = 2.0 * PRICE;
 /// Fewer repeats of held poses do not tell pose scatter from repeat noise.
 pub const MIN_HELD_REPEATS: usize = 6;
 /// Fewer readings do not tell a correlation.
@@ -74,7 +77,7 @@ pub fn estimate(
     let m = misfit(model, &weights)?;
     let s = (m.ssr / m.dof).sqrt();
     let whitened = standardised(model, &weights, s)?;
-    let half = 1.96 / (2.0 * m.dof).sqrt();
+    let half = NORMAL_95 / (2.0 * m.dof).sqrt();
     Some(Noise {
         repeat: NoisePart { value: s, interval95: [s * (1.0 - half).max(0.1), s * (1.0 + half)] },
         pose,
@@ -191,7 +194,7 @@ fn shared_of(
         })
     });
     let mut found: (f64, Option<[f64; 2]>, f64) = (plain, None, 0.0);
-    if let Some((v, c)) = pose_alone.filter(|(_, c)| plain - c > POSE_GAIN) {
+    if let Some((v, c)) = pose_alone.filter(|(_, c)| plain - c > gain_at_bound(NOISE_PART)) {
         found = (c, None, v[0].exp());
     }
     if let Some((v, c)) = correlated_alone.filter(|(_, c)| plain - c > correlated_gain && *c < found.0 - 2.0)
@@ -206,7 +209,7 @@ fn shared_of(
         ];
         let (low, high) = ([ratio[0], tau[0], ratio[0]], [ratio[1], tau[1], ratio[1]]);
         let both = descend(start, [0.5; 3], low, high, &|v| cost(Some([v[0].exp(), v[1].exp()]), v[2].exp()));
-        let needed = if found.1.is_some() { POSE_GAIN } else { correlated_gain };
+        let needed = if found.1.is_some() { gain_at_bound(NOISE_PART) } else { correlated_gain };
         if found.0 - both.1 > needed {
             found = (both.1, Some([both.0[0].exp(), both.0[1].exp()]), both.0[2].exp());
         }
@@ -216,13 +219,14 @@ fn shared_of(
         misfit(model, &at(correlated, pose)).map_or(f64::NAN, |m| (m.ssr / m.dof).sqrt())
     };
     let s = sd_at(correlated, pose);
-    // Profile likelihood: where -2 log L has risen by 3.84.
+    // Profile likelihood: where -2 log L has risen by what one parameter gains by chance.
+    let rise = gain(0.05, 1);
     let interval = |value: f64, f: &dyn Fn(f64) -> (f64, f64)| {
         let end = |step: f64| {
             let mut x = value.max(RATIOS[0]);
             for _ in 0..60 {
                 let next = x * step;
-                if f(next).0 > found.0 + 3.84 || !(0.01..100.0).contains(&next) {
+                if f(next).0 > found.0 + rise || !(0.01..100.0).contains(&next) {
                     break;
                 }
                 x = next;
@@ -297,7 +301,7 @@ mod tests {
 
     fn estimated(s: &Simulated) -> Noise {
         let model = MeanModel { design: &s.design, tangents: &[], residual: &s.residual, extra: Vec::new() };
-        estimate(&model, &s.inputs, &Weights::equal(120), CORRELATED_GAIN, 1).unwrap()
+        estimate(&model, &s.inputs, &Weights::equal(120), correlated_gain(), 1).unwrap()
     }
 
     #[test]

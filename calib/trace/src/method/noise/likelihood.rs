@@ -10,7 +10,7 @@
 //! Patterson & Thompson, Biometrika 58 (1971), 545-554; the scale is concentrated out.
 
 use super::whitening::Weights;
-use crate::method::fit::Fit;
+use crate::method::fitted::Fit;
 use nalgebra::{DMatrix, DVector};
 
 /// The mean model that residuals are left by: everything refitted at each theta.

@@ -1,6 +1,7 @@
 //! The noise of the readings in parts, estimated from the residuals of a model.
 
 mod estimate;
+mod inputs;
 mod likelihood;
 mod parts;
 pub mod spread;
@@ -8,8 +9,9 @@ mod spread_model;
 pub mod tails;
 mod whitening;
 
-pub use estimate::{CORRELATED_GAIN, CORRELATED_PRICE, MIN_HELD_REPEATS, best_misfit, estimate};
+pub use estimate::{CORRELATED_PRICE, MIN_HELD_REPEATS, best_misfit, correlated_gain, estimate};
+pub use inputs::NoiseInputs;
 pub use likelihood::{MeanModel, Misfit, misfit};
-pub use parts::{Noise, NoiseInputs};
+pub use parts::Noise;
 pub use spread_model::SpreadModel;
 pub use whitening::{SharedNoise, Weights};

@@ -3,6 +3,7 @@
 //! Breusch & Pagan, Econometrica 47 (1979): the squared residuals are regressed on the stimulus. Their cube root stands in for them
 //! (Wilson & Hilferty 1931), nearly normal where squares have heavy tails. The variance model is Harvey's (Econometrica 44, 1976).
 
+use crate::levels::NORMAL_95;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use schemars::JsonSchema;
@@ -10,8 +11,6 @@ use serde::{Deserialize, Serialize};
 
 /// Fewer readings say nothing about a trend of the spread.
 pub const MIN_READINGS: usize = 20;
-/// Family-wise share of the level that the spread may spend: small, since re-weighting moves every other number.
-pub const SPREAD_LEVEL: f64 = 0.001;
 /// From here on the spread is worth a remark.
 pub const SPREAD_REMARK: f64 = 0.01;
 
@@ -106,7 +105,7 @@ pub fn spread_test(
         correlation,
         law: SpreadLaw::Exponential,
         exponent: b,
-        interval95: [b - 1.96 * se, b + 1.96 * se],
+        interval95: [b - NORMAL_95 * se, b + NORMAL_95 * se],
         relative_sd: z.iter().map(|z| (b * z).exp()).collect(),
     };
     if let Some(x) = x.filter(|x| x.iter().all(|x| *x > 0.0)) {
@@ -115,7 +114,7 @@ pub fn spread_test(
         if power_nll < nll {
             out.law = SpreadLaw::Power;
             out.exponent = b;
-            out.interval95 = [b - 1.96 * se, b + 1.96 * se];
+            out.interval95 = [b - NORMAL_95 * se, b + NORMAL_95 * se];
             out.relative_sd = centred(&logs).iter().map(|z| (b * z).exp()).collect();
         }
     }
@@ -150,7 +149,7 @@ mod tests {
             let s = spread_test(&r, Some(&x), &u, 400, seed).unwrap();
             assert!(s.p_value < 0.05 && s.correlation > 0.0, "seed {seed}: {}", s.p_value);
             let (b, se, _) = harvey(&r, &x.iter().map(|x| x.ln()).collect::<Vec<_>>());
-            covered += u32::from((b - 1.0).abs() < 1.96 * se);
+            covered += u32::from((b - 1.0).abs() < NORMAL_95 * se);
         }
         assert!(covered >= 52, "claimed intervals covered {covered} of 60");
     }

@@ -4,10 +4,11 @@
 //! h(v) = exp(b (v - v0)),   v0: the covariate at a typical loaded reading        (Harvey, Econometrica 44, 1976: multiplicative)
 //! ```
 
+use super::inputs::NoiseInputs;
 use super::likelihood::{MeanModel, misfit, standardised_by_channel};
-use super::parts::NoiseInputs;
-use super::spread::{SPREAD_LEVEL, Spread, spread_test};
+use super::spread::{Spread, spread_test};
 use super::whitening::Weights;
+use crate::levels::SPREAD;
 use wcal_core::median::median;
 
 /// Permutations of the test of the spread.
@@ -56,7 +57,7 @@ pub(super) fn law_of(
         let z: Vec<f64> = rows.iter().flat_map(|(_, z)| z.clone()).collect();
         // The power law needs a stimulus of its own: here the spread is exponential in the covariate.
         let Some(spread) = spread_test(&z, None, &u, PERMUTATIONS, seed) else { continue };
-        if spread.p_value > SPREAD_LEVEL {
+        if spread.p_value > SPREAD {
             continue;
         }
         // 1 for a typical loaded reading.

@@ -12,16 +12,12 @@
 //! `nu` is not known: the heaviest tails that the likelihood allows (2 log L within 2.71 of its maximum, a one-sided 95 % bound) judge, so a
 //! sample that happens to look light-tailed flags nothing that heavier tails would have given.
 
+use crate::levels::{gain, gain_at_bound};
 use statrs::distribution::{Binomial, ContinuousCDF, DiscreteCDF, Normal, StudentsT};
 use statrs::function::gamma::ln_gamma;
 
 /// Degrees of freedom that are tried, heaviest tails first.
 const NU: [f64; 9] = [3.0, 4.0, 5.0, 6.5, 8.5, 12.0, 20.0, 40.0, f64::INFINITY];
-/// One-sided 95 % bound of a likelihood.
-const BOUND: f64 = 2.71;
-/// Twice the log likelihood that t tails must gain over a Gaussian to be called heavy (chi-squared of 1, one-sided 0.5 %).
-const HEAVY: f64 = 6.63;
-
 /// Fitted tails.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tails {
@@ -97,7 +93,9 @@ fn fit_sorted(sorted: &[f64], censored: usize) -> Tails {
     let z = &sorted[..sorted.len() - censored];
     let fits = NU.map(|nu| (nu, likelihood(nu, z, censored)));
     let best = fits.iter().map(|f| f.1.0).fold(f64::NEG_INFINITY, f64::max);
-    let within = |f: &&(f64, (f64, f64))| 2.0 * (best - f.1.0) <= BOUND;
+    // One-sided 95 % bound of a likelihood.
+    let bound = gain_at_bound(0.05);
+    let within = |f: &&(f64, (f64, f64))| 2.0 * (best - f.1.0) <= bound;
     let gaussian = fits[NU.len() - 1].1.0;
     let top = fits.iter().max_by(|a, b| a.1.0.total_cmp(&b.1.0)).unwrap_or(&fits[NU.len() - 1]);
     let heaviest = fits.iter().find(within).unwrap_or(top);
@@ -108,7 +106,7 @@ fn fit_sorted(sorted: &[f64], censored: usize) -> Tails {
         heaviest: heaviest.0,
         heaviest_scale: heaviest.1.1,
         lightest: lightest.0,
-        heavy: 2.0 * (best - gaussian) > HEAVY,
+        heavy: 2.0 * (best - gaussian) > gain(0.01, 1),
     }
 }
 

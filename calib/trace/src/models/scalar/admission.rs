@@ -13,7 +13,7 @@ const MAX_ROWS: usize = 1000;
 
 /// Why the readings of the points table cannot be used; `sealed` are those of the holdout.
 pub(super) fn refusal(
-    rows: &[ScalarRow],
+    points: &[ScalarRow],
     sealed: &Sealed<ScalarRow>,
     scaling: &Scaling,
     declared: Declared,
@@ -22,9 +22,10 @@ pub(super) fn refusal(
         Declared::Polynomial(degree) => degree + 1,
         Declared::Axis => 1,
     };
-    if rows.len() < MIN_ROWS {
-        return Some(format!("{} readings; at least {MIN_ROWS} are needed", rows.len()));
+    if points.len() < MIN_ROWS {
+        return Some(format!("{} readings; at least {MIN_ROWS} are needed", points.len()));
     }
+    let rows = &thin(points.to_vec())[..];
     if let Some(why) = not_finite(rows, &()).or_else(|| sealed.refusal(&(), not_finite)) {
         return Some(why);
     }
@@ -39,7 +40,7 @@ pub(super) fn refusal(
             )),
         );
     }
-    clock_fault(rows.iter().map(|r| r.t_s))
+    clock_fault(points.iter().map(|r| r.t_s))
         .or_else(|| {
             sealed.refusal(rows, |sealed, rows| {
                 let timed = |r: &ScalarRow| Some(vec![r.t_s?, r.x, r.y]);

@@ -12,11 +12,14 @@
 use super::floor::{level_keys, protocol_keys, replicate_keys};
 use super::system::ScalarSystem;
 use crate::effect::{EffectTerm, LawRequirement};
+use crate::levels::{BETWEEN_STRATA, WITHIN_STRATA};
 use crate::measurement_model::MeasurementModel;
+use crate::method::admissible::REFIT_STEPS;
 use crate::method::fit::{Fit, Weights, fit};
-use crate::method::hypothesis::{Hypothesis, NotIdentified, SearchResult};
+use crate::method::hypothesis::{Hypothesis, NotIdentified};
 use crate::method::linear::Basis;
 use crate::method::min_p::{f_test, signature_p};
+use crate::method::search_result::SearchResult;
 use crate::method::signature::Signature;
 use crate::method::support::rests_on;
 use nalgebra::{DMatrix, DVector};
@@ -24,14 +27,8 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// Repeats from which cells say something of a law.
 const MIN_PURE_DOF: usize = 5;
-/// Level within cells: the search has chosen the law by its whole gain, a wave's frequency among some two hundred.
-const WITHIN_LEVEL: f64 = 1e-4;
-/// Level between cells, where the law stands against an arbitrary table of as many places.
-const BETWEEN_LEVEL: f64 = 0.01;
 /// Level at which a plainer effect is contradicted.
 const CONTRADICTED: f64 = 1e-3;
-/// Steps of a refit without a term.
-const STEPS: usize = 10;
 
 /// A sum of squares with its degrees of freedom.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -126,8 +123,8 @@ impl Strata {
     fn earns(&self, with: &Fit, without: &Fit, weights: &Weights, by_clock: bool) -> bool {
         let cells = if by_clock { &self.protocol } else { &self.cells };
         let (with, without) = (split(with, weights, cells), split(without, weights, cells));
-        fall(without.within, with.within) < WITHIN_LEVEL
-            || (!by_clock && fall(without.between, with.between) < BETWEEN_LEVEL)
+        fall(without.within, with.within) < WITHIN_STRATA
+            || (!by_clock && fall(without.between, with.between) < BETWEEN_STRATA)
     }
 }
 
@@ -159,7 +156,7 @@ impl ScalarSystem {
         let levels = self.levels(&h.weights);
         let cycles = self.cycles(&h.weights);
         (0..h.fit.terms.len()).find_map(|k| {
-            let (term, without) = (&h.fit.terms[k], h.without(self, |j, _| j == k, STEPS)?.fit);
+            let (term, without) = (&h.fit.terms[k], h.without(self, |j, _| j == k)?.fit);
             let terms: Vec<EffectTerm> = h.fit.terms.iter().filter(|t| *t != term).cloned().collect();
             let by_clock = self.runs_with_the_clock(term);
             let why = |why: String| Some(NotIdentified { effect: term.effect, why });
@@ -197,7 +194,7 @@ impl ScalarSystem {
         let plain = EffectTerm { effect, law: 0, values: Vec::new() };
         let with = |more: &[&EffectTerm]| {
             let terms: Vec<EffectTerm> = others.iter().chain(more.iter().copied()).cloned().collect();
-            fit(self, &terms, &h.weights, STEPS)
+            fit(self, &terms, &h.weights, REFIT_STEPS)
         };
         let (alone, both) = (with(&[&plain])?, with(&[&plain, term])?);
         let gain = |from: &Fit| f_test(from.ssr - both.ssr, from.ssr, from.dof, 1);
@@ -271,6 +268,6 @@ impl ScalarSystem {
         });
         let richer = Fit { raw_design: added, ..h.fit.clone() };
         fall(split(&h.fit, &h.weights, &cells).within, split(&richer, &h.weights, &cells).within)
-            >= WITHIN_LEVEL
+            >= WITHIN_STRATA
     }
 }

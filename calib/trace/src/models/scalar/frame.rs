@@ -96,6 +96,17 @@ impl From<&AxisRow> for ScalarRow {
     }
 }
 
+/// Names by which the session calls things.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Names {
+    /// Unit of the stimulus.
+    pub stimulus: String,
+    /// Unit of the response.
+    pub response: String,
+    /// Further covariates.
+    pub covariates: Vec<String>,
+}
+
 impl ScalarData<'_> {
     /// Rows of the points table.
     pub fn rows(&self) -> Vec<ScalarRow> {

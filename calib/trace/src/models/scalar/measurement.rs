@@ -1,5 +1,6 @@
 //! A transducer or axis session as a measurement model of the procedure.
 
+use super::admission;
 use super::effects::{ERROR_TABLE, HETEROSCEDASTIC_NOISE};
 use super::floor::{noise_floor, replicate_keys};
 use super::frame::Declared;
@@ -15,18 +16,19 @@ use super::usable::{inapplicable, insensitive};
 use super::{ScalarRow, next};
 use crate::effect::EffectTerm;
 use crate::error::TraceError;
+use crate::levels::CATALOGUE;
 use crate::measurement_model::MeasurementModel;
-use crate::method::hypothesis::{Hypothesis, SearchResult};
+use crate::method::hypothesis::Hypothesis;
 use crate::method::lack_of_fit::{LackOfFit, lack_of_fit};
 use crate::method::noise::Noise;
 use crate::method::noise::spread::SpreadLaw;
-use crate::method::omnibus::CATALOGUE_LEVEL;
 use crate::method::options::Options;
+use crate::method::search_result::SearchResult;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
 use crate::verify::{Explained, HeldOut, SessionModel, SessionText};
 use nalgebra::DVector;
-use wcal_core::ResidualRecord;
 use wcal_core::verify_document::{EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, UnknownEffect};
+use wcal_core::{ResidualRecord, Sealed};
 
 /// Predictions at every row, in the system's own values, with half widths of 95 % intervals.
 #[derive(Debug, Clone, PartialEq)]
@@ -148,6 +150,11 @@ impl SessionModel for ScalarSystem {
         of_effect(self, &h.fit, effect, self.names())
     }
 
+    fn refusal(&self, sealed: &Sealed<ScalarRow>) -> Option<String> {
+        let why = admission::refusal(self.session_rows(), sealed, &self.frame.scaling, self.frame.declared)?;
+        Some(format!("The data cannot be used: {why}."))
+    }
+
     fn renewed(&self, accepted: &Hypothesis, seed: u64) -> Option<Self> {
         with_spread_of(self, accepted, seed)
     }
@@ -193,7 +200,7 @@ impl SessionModel for ScalarSystem {
                 .covariates
                 .first()
                 .is_some_and(|d| PERIOD_RUNS_OVER.contains(&d.covariate.as_str()))
-            && found.last_test.p_catalogue >= CATALOGUE_LEVEL
+            && found.last_test.p_catalogue >= CATALOGUE
     }
 
     fn repeats_with_protocol(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> bool {

@@ -1,8 +1,7 @@
 //! The accepted model of a scalar session as it is kept in `calibration.json`, and its predictions at new readings.
 
 use super::effects::scalar_catalogue;
-use super::frame::{Declared, Frame, ScalarRow, Scaling};
-use super::parameters::Names;
+use super::frame::{Declared, Frame, Names, ScalarRow, Scaling};
 use super::polynomial::Polynomial;
 use super::predictions::{Fitted, predict};
 use super::system::{ScalarSystem, relative_sd_at};

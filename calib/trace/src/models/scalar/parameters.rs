@@ -1,7 +1,7 @@
 //! Fitted values in the session's units, with intervals.
 
 use super::effects::PERIODIC;
-use super::frame::Frame;
+use super::frame::{Frame, Names};
 use super::system::ScalarSystem;
 use crate::effect::Role;
 use crate::measurement_model::MeasurementModel;
@@ -13,17 +13,6 @@ use wcal_core::verify_document::EffectParameter;
 /// Joint covariance of coefficients and nonlinear values.
 pub fn covariance(fit: &Fit) -> DMatrix<f64> {
     inference::covariance(fit, fit.variance())
-}
-
-/// Names by which the session calls things.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Names {
-    /// Unit of the stimulus.
-    pub stimulus: String,
-    /// Unit of the response.
-    pub response: String,
-    /// Further covariates.
-    pub covariates: Vec<String>,
 }
 
 /// A unit over others with their powers: "V/kPa^2", "um/(1/m)". Quantities without a unit ("1") leave no trace, so that 1/1^2 is 1.

@@ -3,9 +3,9 @@
 use super::frame::Frame;
 use super::stationarity::{UNSTEADY, stationarity};
 use super::system::ScalarSystem;
+use crate::levels::{REPLICATES, SPREAD};
 use crate::method::hypothesis::Hypothesis;
-use crate::method::noise::spread::{SPREAD_LEVEL, SPREAD_REMARK, Spread, spread_test};
-use crate::method::omnibus::LACK_OF_FIT_LEVEL;
+use crate::method::noise::spread::{SPREAD_REMARK, Spread, spread_test};
 use crate::method::signature::nuisance;
 
 /// Permutations of the test of the spread.
@@ -49,11 +49,11 @@ pub(super) fn with_spread_of(
     seed: u64,
 ) -> Option<ScalarSystem> {
     // What a model leaves where repeats contradict it grows where it is wrong: that is no noise.
-    let contradicted = system.pure_error(accepted).is_some_and(|l| l.p_value < LACK_OF_FIT_LEVEL);
+    let contradicted = system.pure_error(accepted).is_some_and(|l| l.p_value < REPLICATES);
     // Nor is it that a period which is not steady leaves more toward the ends.
     let steady = || stationarity(system, accepted).is_none_or(|s| s.z <= UNSTEADY);
     let found = test_spread(&system.frame, accepted, seed)
-        .filter(|s| s.p_value <= SPREAD_LEVEL && !contradicted && !system.has_given_up_spread() && steady());
+        .filter(|s| s.p_value <= SPREAD && !contradicted && !system.has_given_up_spread() && steady());
     match (system.spread(), found) {
         (None, Some(spread)) => Some(system.clone().with_spread(spread)),
         (Some(_), None) => Some(system.clone().without_spread()),

@@ -2,8 +2,7 @@
 
 use super::admission::number;
 use super::effects;
-use super::frame::{Declared, Frame, ScalarRow};
-use super::parameters::Names;
+use super::frame::{Declared, Frame, Names, ScalarRow};
 use super::scalar_effect::ScalarEffect;
 use crate::effect::{Effect, EffectTerm, LawRequirement, Values};
 use crate::measurement_model::MeasurementModel;
@@ -173,6 +172,11 @@ impl ScalarSystem {
     /// Rows that were sealed.
     pub fn sealed_rows(&self) -> &[bool] {
         &self.sealed
+    }
+
+    /// The readings of the points table, in their order.
+    pub(super) fn session_rows(&self) -> &[ScalarRow] {
+        &self.points
     }
 
     /// Readings of the points table.

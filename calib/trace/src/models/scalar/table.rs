@@ -5,13 +5,14 @@ use super::frame::Declared;
 use super::parameters::covariance;
 use super::system::ScalarSystem;
 use crate::effect::EffectTerm;
+use crate::levels::{CATALOGUE, REPLICATES};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, Status, fit};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::t95;
 use crate::method::min_p::{f_test, signature_p};
 use crate::method::noise_estimator::noise_for_predictions;
-use crate::method::omnibus::{CATALOGUE_LEVEL, LACK_OF_FIT_LEVEL, OmnibusTest, omnibus_test};
+use crate::method::omnibus::{OmnibusTest, omnibus_test};
 use crate::method::options::Options;
 use crate::method::signature::Signature;
 use crate::verify::Explained;
@@ -31,7 +32,7 @@ pub fn has_table(system: &ScalarSystem, h: &Hypothesis) -> bool {
 /// Takes the table in place of an explanation that repeats contradict.
 pub(super) fn in_place_of_laws(system: &ScalarSystem, explained: &mut Explained, options: &Options) {
     let found = &explained.found;
-    let contradicted = |h: &Hypothesis| system.pure_error(h).is_some_and(|l| l.p_value < LACK_OF_FIT_LEVEL);
+    let contradicted = |h: &Hypothesis| system.pure_error(h).is_some_and(|l| l.p_value < REPLICATES);
     let Some(effect) = index(system).filter(|&e| system.not_observable(e).is_none()) else { return };
     if system.frame.declared != Declared::Axis || explained.exact || !contradicted(found.accepted()) {
         return;
@@ -88,7 +89,7 @@ fn extended(
                 let p = |s: &Signature| signature_p(s, s.gain(&left), kept.fit.ssr, kept.fit.dof);
                 p(a).total_cmp(&p(b))
             });
-        let Some(best) = best.filter(|_| test.p_catalogue < CATALOGUE_LEVEL) else { break };
+        let Some(best) = best.filter(|_| test.p_catalogue < CATALOGUE) else { break };
         let law = system.catalogue()[best.term.effect].law(best.term.law);
         let mut terms = kept.fit.terms.clone();
         terms.push(best.start(&left, law));
@@ -106,7 +107,7 @@ fn extended(
 /// F test of a richer model at the level of lack of fit.
 fn earns(plain: &Fit, rich: &Fit) -> bool {
     let extra = plain.dof - rich.dof;
-    extra >= 1.0 && f_test(plain.ssr - rich.ssr, plain.ssr, plain.dof, extra as usize) < LACK_OF_FIT_LEVEL
+    extra >= 1.0 && f_test(plain.ssr - rich.ssr, plain.ssr, plain.dof, extra as usize) < REPLICATES
 }
 
 /// The table's deviations by place and direction with 95 % intervals, as measured less commanded.

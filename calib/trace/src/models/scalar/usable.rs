@@ -4,14 +4,12 @@ use super::frame::Declared;
 use super::model::ScalarModel;
 use super::system::ScalarSystem;
 use crate::effect::{EffectModel, EffectTerm};
+use crate::levels::NO_SENSITIVITY;
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::linear::Basis;
 use crate::method::min_p::f_test;
 use nalgebra::DVector;
-
-/// A slope that chance gives once in a thousand sessions is known to a third of itself: less is no sensitivity.
-const SENSITIVITY_LEVEL: f64 = 1e-3;
 
 /// The response does not depend on the stimulus: F test of every term of the stimulus at once, beside whatever else was fitted. A quadratic
 /// or cubic term that was accepted is one of them, and so is a wave over the stimulus.
@@ -29,7 +27,7 @@ pub(super) fn insensitive(system: &ScalarSystem, h: &Hypothesis) -> Option<Strin
     let constant = beside.project_off(&reading).norm_squared();
     let extra = of_stimulus.len() + fit.tangents.len();
     let p = f_test(constant - fit.ssr, constant, fit.dof + extra as f64, extra);
-    (p > SENSITIVITY_LEVEL).then(|| {
+    (p > NO_SENSITIVITY).then(|| {
         format!(
             "The response does not depend on the stimulus (p = {p:.2}): there is no sensitivity to calibrate."
         )

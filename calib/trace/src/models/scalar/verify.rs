@@ -1,18 +1,17 @@
 //! `verify` for kinds "transducer" and "axis": admission of the data, the procedure, and what reports and calibration need of it.
 
-use super::admission::{clock_fault, number, refusal, thin};
-use super::frame::{Declared, Frame, ScalarData, ScalarRow, Scaling};
+use super::admission::{number, thin};
+use super::frame::{Declared, Frame, Names, ScalarData, ScalarRow, Scaling};
 use super::model::ScalarModel;
-use super::parameters::Names;
 use super::polynomial::Polynomial;
 use super::spread_trend::weak_trend;
 use super::stationarity::{Stationarity, stationarity};
 use super::system::ScalarSystem;
 use crate::error::TraceError;
-use crate::method::hypothesis::RankedHypothesis;
 use crate::method::lack_of_fit::LackOfFit;
 use crate::method::noise::spread::Spread;
-use crate::verify::{Verification, VerifyRequest, verify};
+use crate::method::search_result::RankedHypothesis;
+use crate::verify::{Verification, Verified, VerifyRequest, verify};
 use wcal_core::Sealed;
 use wcal_core::residual::ResidualRecord;
 use wcal_core::verify_document::VerifyDocument;
@@ -49,9 +48,8 @@ pub struct ScalarVerification {
 
 /// A session whose data cannot be used.
 fn refused(session: &str, data: ScalarData<'_>, seed: u64, why: &str) -> ScalarVerification {
-    let reason = format!("The data cannot be used: {why}.");
     ScalarVerification {
-        document: VerifyDocument::refused(session, data.kind(), reason, seed),
+        document: VerifyDocument::refused(session, data.kind(), why, seed),
         residuals: Vec::new(),
         declared: None,
         accepted: None,
@@ -78,20 +76,18 @@ pub fn verify_scalar(
     request: &VerifyRequest,
 ) -> Result<ScalarVerification, TraceError> {
     let (mut points, declared) = (data.rows(), data.declared());
-    let clock = clock_fault(points.iter().map(|r| r.t_s));
     number(&mut points);
     let rows = thin(points.clone());
     let scaling = Scaling { count: points.len(), ..Scaling::of(&rows) };
     let scaling = if declared == Declared::Axis { scaling.with_places(&rows) } else { scaling };
-    if let Some(why) = clock.or_else(|| refusal(&rows, &sealed, &scaling, declared)) {
-        return Ok(refused(session, data, request.search.seed, &why));
-    }
     let (stimulus, response) = data.units();
     let names = Names { stimulus, response, covariates: data.covariate_names() };
     let model =
         ScalarSystem::new(Frame::new(rows, &scaling, declared), &names.covariates).of_session(names, points);
-    let v = verify(model, sealed, &[], request)?;
-    Ok(for_report(session, v, request))
+    Ok(match verify(model, sealed, &[], request)? {
+        Verified::Done(v) => for_report(session, *v, request),
+        Verified::Refused(why) => refused(session, data, request.search.seed, &why),
+    })
 }
 
 /// What a report shows of a verification.

@@ -3,7 +3,7 @@
 use super::physical::PhysicalModel;
 use super::system::WhiskerSystem;
 use crate::effect::EffectTerm;
-use crate::method::inference::NORMAL_95;
+use crate::levels::NORMAL_95;
 use crate::verify::HeldOut;
 use crate::verify::judgement::JudgedReading;
 use crate::verify::session_model::Quantity;

@@ -1,5 +1,6 @@
 //! The whisker session as a measurement model of the procedure.
 
+use super::admission;
 use super::floor::noise_floor;
 use super::next::{self, RIVALS};
 use super::physical::PhysicalModel;
@@ -10,21 +11,22 @@ use super::stage_clock;
 use super::system::WhiskerSystem;
 use super::twin_check::{check_labels, labelled_moments};
 use crate::error::TraceError;
+use crate::levels::{GENERIC, NORMAL_95};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, Weights};
-use crate::method::hypothesis::{Hypothesis, SearchResult};
-use crate::method::inference::{self, NORMAL_95};
+use crate::method::hypothesis::Hypothesis;
+use crate::method::inference::{self};
 use crate::method::noise::Noise;
 use crate::method::noise_estimator::noise_for_predictions;
-use crate::method::omnibus::COVARIATE_LEVEL;
+use crate::method::search_result::SearchResult;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
 use crate::verify::{HeldOut, SessionModel, SessionText};
 use nalgebra::Vector2;
-use wcal_core::ResidualRecord;
 use wcal_core::observation::WhiskerRow;
 use wcal_core::verify_document::{
     EffectParameter, NextMeasurement, NoiseFloor, NoisePart, SecondWitness, TwinFault,
 };
+use wcal_core::{ResidualRecord, Sealed};
 
 /// Change of the channels' shared noise from which the search is made again.
 const WHITENING_CHANGED: f64 = 1.1;
@@ -114,6 +116,10 @@ impl SessionModel for WhiskerSystem {
 
     fn parameters(&self, h: &Hypothesis, effect: usize) -> Vec<EffectParameter> {
         inference::parameters(self, h, effect)
+    }
+
+    fn refusal(&self, sealed: &Sealed<WhiskerRow>) -> Option<String> {
+        admission::refusal(self, sealed)
     }
 
     fn twin_faults(&self) -> Vec<TwinFault> {
@@ -331,7 +337,7 @@ fn witness_note(s: &SecondWitness) -> String {
 fn model_error(found: &SearchResult) -> Option<String> {
     let test = &found.last_test;
     let driver =
-        test.covariates.first().filter(|_| test.within_model_error && test.p_covariates < COVARIATE_LEVEL)?;
+        test.covariates.first().filter(|_| test.within_model_error && test.p_covariates < GENERIC)?;
     Some(format!(
         "Within model error: what is left follows {} ({}) and is {:.1} % of the misfit.",
         driver.covariate,

@@ -1,6 +1,8 @@
 //! The whisker's measurement model: pose -> rod -> moment -> memory -> wavelength, and what the procedure asks of it.
 
+mod admission;
 mod branch_cache;
+mod branch_start;
 mod covariates;
 pub mod effects;
 pub mod floor;
@@ -16,6 +18,7 @@ mod picture_observations;
 pub mod pictures;
 pub mod plan_check;
 pub mod predictions;
+mod readings_model;
 pub mod residual_tables;
 pub mod rod_parameters;
 pub mod rod_tables;

@@ -1,7 +1,6 @@
 //! The session as it really ran: readings in time order, with the moves and dwells between them.
 
 use crate::whisker::temperature::RandomWalkModel;
-use crate::whisker::whisker_effect::ActiveEffect;
 use nalgebra::Vector3;
 use wcal_core::median::median;
 use wcal_core::observation::{FbgSpec, MomentAxes, Role, Trajectory, WhiskerRow};
@@ -108,20 +107,21 @@ impl WhiskerPath {
         let of = |k: u32| self.readings.iter().map(|r| f64::from(u8::from(r.seating == k))).collect();
         (1..seatings).map(of).collect()
     }
+}
 
-    /// Columns of the readout at `sensed` moments, one value a reading each: zero, both moments, zeros of seatings, those of effects.
-    pub(super) fn readout_columns(
-        &self,
-        seatings: u32,
-        effects: &[ActiveEffect],
-        sensed: &[[f64; 2]],
-    ) -> Vec<Vec<f64>> {
-        let moment = |c: usize| sensed.iter().map(|m| m[c]).collect();
-        let mut columns = vec![vec![1.0; sensed.len()], moment(0), moment(1)];
-        columns.extend(self.seating_columns(seatings));
-        columns.extend(effects.iter().flat_map(|a| (a.effect.columns)(&a.values(), self, sensed)));
-        columns
+/// Distinct loaded stage positions on every line, ascending.
+pub(crate) fn positions(nodes: &[Node], xs_mm: &[f64], lines: usize) -> Vec<Vec<f64>> {
+    let mut out = vec![Vec::new(); lines];
+    for (node, &x) in nodes.iter().zip(xs_mm) {
+        if let Some(l) = node.line.filter(|_| !node.rest) {
+            out[l].push(x);
+        }
     }
+    for xs in &mut out {
+        xs.sort_by(f64::total_cmp);
+        xs.dedup();
+    }
+    out
 }
 
 /// Temperature of a reading, deg C: of its reference grating where there is one, else of its own sensor.

@@ -1,10 +1,77 @@
 //! From a pair of shapes.json to what is observed, its own errors and the derivatives by what all pairs share (`pictures`).
 
-use super::pictures::{Derivatives, Pair, PairChange, PairObservation};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use std::sync::Arc;
 use wcal_core::observation::SessionShapes;
 use wcal_core::shapes_document::{ErrorColumn, GrooveDocument, PairDocument, PairErrors};
+
+/// What a pair shows, or would show, base frame, mm.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PairObservation {
+    /// The wire's centre in the groove.
+    pub groove_mm: Vector3<f64>,
+    /// Arc length of the contact.
+    pub arclength_mm: f64,
+    /// Unit tangent of the wire there.
+    pub tangent: Vector3<f64>,
+    /// The centre line at the stations.
+    pub stations_mm: Vec<Vector3<f64>>,
+    /// Place among the pairs in order of time, 0 to 1.
+    pub place: f64,
+    /// How stereo-shape says that a wrong board and a tag glued askew move it; empty where it does not say.
+    pub derivatives: Arc<Derivatives>,
+}
+
+/// Derivatives of what a pair shows by faults of the cameras' setup, as stated in shapes.json.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Derivatives {
+    /// By the relative scale of the calibration board.
+    pub board_scale: Option<PairChange>,
+    /// By the rig tag's position in its body, mm along x, y, z.
+    pub rig_tag: Option<[PairChange; 3]>,
+}
+
+/// A change of what a pair shows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PairChange {
+    /// Of the groove, mm.
+    pub groove_mm: Vector3<f64>,
+    /// Of the contact's arc length, mm.
+    pub arclength_mm: f64,
+    /// Of the stations, mm.
+    pub stations_mm: Vec<Vector3<f64>>,
+}
+
+impl PairObservation {
+    /// Adds `size` times a change.
+    pub fn add(&mut self, moved: &PairChange, size: f64) {
+        self.groove_mm += moved.groove_mm * size;
+        self.arclength_mm += moved.arclength_mm * size;
+        for (station, by) in self.stations_mm.iter_mut().zip(&moved.stations_mm) {
+            *station += by * size;
+        }
+    }
+}
+
+/// One pair with its reading.
+#[derive(Clone)]
+pub(super) struct Pair {
+    /// Reading on the path.
+    pub(super) reading: usize,
+    /// Its node.
+    pub(super) node: usize,
+    pub(super) seen: PairObservation,
+    /// Arc lengths of its stations, mm.
+    pub(super) stations_mm: Vec<f64>,
+    /// From (groove, arc length, stations) to the observed values: the line is seen across only.
+    pub(super) normals: Vec<[Vector3<f64>; 2]>,
+    /// Inverse Cholesky factor of its own errors.
+    pub(super) whitening: DMatrix<f64>,
+    /// Variance of the groove's position, its own errors and shared ones, summed over the axes, mm^2.
+    pub(super) groove_mm2: f64,
+    /// First of its values among all.
+    pub(super) first: usize,
+}
 
 /// Stations of the centre line that count at most, spread evenly from root to tip: past the contact the wire is free, and its tail shows
 /// the slope there with the longest lever.

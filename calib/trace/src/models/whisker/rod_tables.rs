@@ -2,9 +2,8 @@
 
 use crate::whisker::branch_cache::BranchCache;
 use crate::whisker::kept::Kept;
-use crate::whisker::path::Node;
+use crate::whisker::path::{Node, positions};
 use crate::whisker::rod_parameters::RodParameters;
-use crate::whisker::solve_cache::positions;
 use crate::whisker::tables::{LineTable, MAX_RATIO, RATIO_STEPS, SlipRow, SlipTable};
 use nalgebra::Vector3;
 use rayon::prelude::*;

@@ -1,15 +1,13 @@
 //! Several seatings of one sensor: what differs between them beyond the zero.
 
 use super::system::WhiskerSystem;
+use crate::levels::REMARK;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, linear};
 use crate::method::min_p::f_test;
 use nalgebra::DMatrix;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use wcal_core::verify_document::NoisePart;
-
-/// Below this p-value the sensitivities of the seatings count as different.
-pub const SENSITIVITY_LEVEL: f64 = 0.01;
 
 /// Variation between seatings.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -86,7 +84,7 @@ impl SeatingVariation {
     pub fn note(&self) -> String {
         let [a, b] = self.zero_sd_pm;
         let share = 100.0 * self.sensitivity_change;
-        let verdict = if self.sensitivity_p < SENSITIVITY_LEVEL {
+        let verdict = if self.sensitivity_p < REMARK {
             format!(
                 "their K differ by {share:.2} % (p = {:.1e}): the stated intervals of K hold within a seating only",
                 self.sensitivity_p
@@ -101,6 +99,7 @@ impl SeatingVariation {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::levels::NORMAL_95;
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
@@ -123,7 +122,7 @@ mod tests {
             let e = pooled(sd, sessions - 1);
             covered += usize::from((e.interval95[0]..e.interval95[1]).contains(&truth));
             // Control: a Gaussian's interval of the same width of freedom does not cover.
-            let half = 1.96 * e.value / (2.0 * 2.0 * (sessions - 1) as f64).sqrt();
+            let half = NORMAL_95 * e.value / (2.0 * 2.0 * (sessions - 1) as f64).sqrt();
             plain += usize::from((e.value - half..e.value + half).contains(&truth));
         }
         // 1,900 +- 10 expected (binomial standard deviation).

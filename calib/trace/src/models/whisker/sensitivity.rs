@@ -10,6 +10,7 @@
 use super::system::WhiskerSystem;
 use super::twin_check::label_nmm;
 use crate::error::TraceError;
+use crate::levels::NO_SENSITIVITY;
 use crate::method::linear::Basis;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -18,8 +19,6 @@ use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
 
 /// Fewest loaded readings from which a response can be told.
 const MIN_LOADED: usize = 9;
-/// A response is one where chance gives it more seldom than this.
-const RESPONSE_LEVEL: f64 = 1e-3;
 /// A value farther than this many robust deviations from the median is clipped: a gross reading is no reason to miss a response.
 const CLIP: f64 = 8.0;
 /// Smallest share of a direction that is there at all: poses in one plane load one direction.
@@ -102,7 +101,7 @@ fn without_response(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<Stri
     }
     let dof = n as f64 - course.rank() as f64;
     let dead: Vec<String> = (0..2)
-        .filter(|&g| response_p(&y[g..=g], &load, 0, dof) > RESPONSE_LEVEL)
+        .filter(|&g| response_p(&y[g..=g], &load, 0, dof) > NO_SENSITIVITY)
         .map(|g| format!("fbg_{}", g + 1))
         .collect();
     if !dead.is_empty() {
@@ -111,7 +110,7 @@ fn without_response(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<Stri
             "No sensitivity: {names} does not follow the load at any pose: dead, or not on the wire."
         ));
     }
-    (load.len() == 2 && response_p(&y, &load, 1, dof) > RESPONSE_LEVEL).then(|| {
+    (load.len() == 2 && response_p(&y, &load, 1, dof) > NO_SENSITIVITY).then(|| {
         "The gratings have rank 1: both follow the same direction of the load, so they cannot determine two moments.".to_owned()
     })
 }

@@ -1,6 +1,7 @@
 //! Few readings on a line: the rod is solved at each of them instead of on a table's grid.
 
 use crate::whisker::path::Node;
+use crate::whisker::path::positions;
 use crate::whisker::rod_parameters::RodParameters;
 use crate::whisker::rod_tables::RodTables;
 use rayon::prelude::*;
@@ -9,21 +10,6 @@ use wcal_rod::{Equilibrium, Rod};
 
 /// Largest gap between the equilibria of a continued branch, mm.
 const MAX_GAP_MM: f64 = 2.0;
-
-/// Distinct loaded stage positions on every line, ascending.
-pub(crate) fn positions(nodes: &[Node], xs_mm: &[f64], lines: usize) -> Vec<Vec<f64>> {
-    let mut out = vec![Vec::new(); lines];
-    for (node, &x) in nodes.iter().zip(xs_mm) {
-        if let Some(l) = node.line.filter(|_| !node.rest) {
-            out[l].push(x);
-        }
-    }
-    for xs in &mut out {
-        xs.sort_by(f64::total_cmp);
-        xs.dedup();
-    }
-    out
-}
 
 impl RodTables {
     /// Frictionless equilibria at the nodes, each solved for, none at a node where the wire is free; none where the branch ends before one

@@ -5,6 +5,7 @@
 //! is in the interval of a time lag.
 
 use super::system::WhiskerSystem;
+use crate::levels::{NEGLIGIBLE, z};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::Fit;
 use crate::method::hypothesis::Hypothesis;
@@ -15,8 +16,6 @@ use crate::method::signature::nuisance;
 const MAX_CLOCK_S: f64 = 3e-3;
 /// Standard deviation of the alignment of both clocks, s: root mean square of a delay that is uniform up to the largest, sqrt(1/3).
 pub(super) const CLOCK_SD_S: f64 = 0.577_350_269_189_625_8 * MAX_CLOCK_S;
-/// Standard errors from which an alignment is told from none.
-const TOLD: f64 = 3.0;
 /// Step of the derivative, s.
 const STEP_S: f64 = 1e-3;
 
@@ -28,7 +27,7 @@ pub(super) fn aligned(system: &WhiskerSystem, h: &Hypothesis, lagged: bool) -> f
         return if lagged { 0.0 } else { before_s };
     }
     let Some((more_s, sd_s)) = left_over(system, &h.fit, h) else { return before_s };
-    let told = more_s.abs() > TOLD * sd_s && (before_s + more_s).abs() <= MAX_CLOCK_S;
+    let told = more_s.abs() > z(NEGLIGIBLE) * sd_s && (before_s + more_s).abs() <= MAX_CLOCK_S;
     if told { before_s + more_s } else { before_s }
 }
 

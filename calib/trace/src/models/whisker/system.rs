@@ -1,18 +1,15 @@
 //! The whisker session as a system: pose -> rod -> moment -> memory -> wavelength, with effects at every stage.
 
-use super::covariates::covariates;
 use super::pictures::Pictures;
-use super::stage_clock::CLOCK_SD_S;
 use super::whisker_effect::{ActiveEffect, Observers};
 use crate::effect::{Effect, EffectTerm, LawRequirement};
-use crate::measurement_model::MeasurementModel;
-use crate::method::fit::{Fit, Weights};
+use crate::method::fit::Fit;
 use crate::whisker::effects::whisker_catalogue;
 use crate::whisker::path::{Node, WhiskerPath, averaged_readings, temperature_walk};
 use crate::whisker::rod_parameters::RodParameters;
 use crate::whisker::rod_tables::RodTables;
 use crate::whisker::temperature::RandomWalkModel;
-use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
+use nalgebra::{DMatrix, Matrix2, Vector2};
 use std::sync::Arc;
 use wcal_core::observation::{RestShape, WhiskerData, WhiskerRow};
 
@@ -28,19 +25,19 @@ pub struct WhiskerSystem {
     pub path: WhiskerPath,
     /// The rod's tables.
     pub rod_tables: Arc<RodTables>,
-    catalogue: Arc<[Effect]>,
-    measured: DMatrix<f64>,
-    groups: Vec<u32>,
+    pub(super) catalogue: Arc<[Effect]>,
+    pub(super) measured: DMatrix<f64>,
+    pub(super) groups: Vec<u32>,
     rows: Arc<Vec<WhiskerRow>>,
     sealed: Vec<bool>,
     scored: Vec<bool>,
-    seatings: u32,
+    pub(super) seatings: u32,
     walk: Option<RandomWalkModel>,
-    whitening: Matrix2<f64>,
+    pub(super) whitening: Matrix2<f64>,
     pub(super) pictures: Option<Arc<Pictures>>,
     pub(super) picture_scale: f64,
     stage_clock_s: f64,
-    refuted: Arc<[String]>,
+    pub(super) refuted: Arc<[String]>,
 }
 
 /// Density of air, kg/m^3.
@@ -64,7 +61,7 @@ fn measured_in(path: &WhiskerPath, whitening: &Matrix2<f64>) -> DMatrix<f64> {
     shifts * dynamic(&whitening.try_inverse().unwrap_or_else(Matrix2::identity))
 }
 
-fn dynamic(m: &Matrix2<f64>) -> DMatrix<f64> {
+pub(super) fn dynamic(m: &Matrix2<f64>) -> DMatrix<f64> {
     DMatrix::from_column_slice(2, 2, m.as_slice())
 }
 
@@ -167,7 +164,7 @@ impl WhiskerSystem {
     }
 
     /// Why the session does not give what a law needs; none where it does.
-    fn unmet(&self, need: LawRequirement) -> Option<&'static str> {
+    pub(super) fn unmet(&self, need: LawRequirement) -> Option<&'static str> {
         let has = &self.path.columns;
         let moving = |p: &Arc<Pictures>| p.each().any(|(i, ..)| self.path.readings[i].velocity_mm_s != 0.0);
         match need {
@@ -309,71 +306,5 @@ impl WhiskerSystem {
     /// Readings whose rows were sealed, and those of them that count in the held-out error.
     pub fn held_out(&self) -> [&[bool]; 2] {
         [&self.sealed, &self.scored]
-    }
-}
-
-impl MeasurementModel for WhiskerSystem {
-    fn channels_pm(&self) -> DMatrix<f64> {
-        dynamic(&self.whitening)
-    }
-
-    fn measured(&self) -> &DMatrix<f64> {
-        &self.measured
-    }
-
-    fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
-        let (sensed, _) = self.moments(terms)?;
-        let columns = self.path.readout_columns(self.seatings, &self.active(terms), &sensed);
-        let design = DMatrix::from_fn(sensed.len(), columns.len(), |i, j| columns[j][i]);
-        design.iter().all(|v| v.is_finite()).then_some(design)
-    }
-
-    fn auxiliary_residual(&self, terms: &[EffectTerm], weights: &Weights) -> Option<DVector<f64>> {
-        let Some(pictures) = &self.pictures else { return Some(DVector::zeros(0)) };
-        let seen = self.seen(terms)?;
-        let w = pictures.whitened(&seen, |i| weights.counts(i)) * self.picture_scale;
-        w.iter().all(|v| v.is_finite()).then_some(w)
-    }
-
-    fn witness_readings(&self) -> Arc<Vec<usize>> {
-        self.pictures.as_ref().map_or_else(Arc::default, |p| p.readings())
-    }
-
-    fn witness_variance(&self) -> f64 {
-        self.picture_scale.powi(2)
-    }
-
-    fn catalogue(&self) -> &[Effect] {
-        &self.catalogue
-    }
-
-    fn not_observable(&self, effect: usize) -> Option<String> {
-        let effect = &self.catalogue[effect];
-        if self.refuted.iter().any(|id| id == effect.id) {
-            return Some("another measurement of this whisker refutes it".to_owned());
-        }
-        effect.needs().iter().find_map(|need| self.unmet(*need)).map(str::to_owned)
-    }
-
-    fn groups(&self) -> &[u32] {
-        &self.groups
-    }
-
-    fn covariates(&self) -> Vec<(String, Vec<f64>)> {
-        covariates(self)
-    }
-
-    fn judged_left_out(&self) -> bool {
-        true
-    }
-
-    fn shared_sd(&self, effect: usize, parameter: &str) -> f64 {
-        let stamped =
-            self.catalogue[effect].needs().contains(&LawRequirement::Motion) && parameter == "lag_s";
-        if stamped && self.is_read_in_motion() { CLOCK_SD_S } else { 0.0 }
-    }
-
-    fn noise_inputs(&self) -> crate::method::noise::NoiseInputs {
-        super::noise::noise_inputs(&self.data, &self.path)
     }
 }

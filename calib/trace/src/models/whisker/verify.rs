@@ -3,15 +3,12 @@
 use super::physical::PhysicalModel;
 use super::predictions::Predictions;
 use super::residual_tables::{Branch, branches};
-use super::sensitivity;
 use super::system::WhiskerSystem;
 use super::twin_check::{LabelReport, check_labels};
 use crate::error::TraceError;
-use crate::method::hypothesis::SearchResult;
-use crate::scalar::admission::clock_fault;
-use crate::verify::sealed_in_fit::sealed_in_fit;
-use crate::verify::{VerifyRequest, Witness, verify};
-use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
+use crate::method::search_result::SearchResult;
+use crate::verify::{Verified as Loop, VerifyRequest, Witness, verify};
+use wcal_core::observation::{WhiskerData, WhiskerRow};
 use wcal_core::verify_document::{HeldOutError, VerifyDocument};
 use wcal_core::{InputFile, ResidualRecord, Sealed};
 
@@ -47,27 +44,6 @@ pub enum Verified {
     Refused(Box<VerifyDocument>),
 }
 
-/// Fewest loaded readings that carry K, the zero and a residual.
-const MIN_LOADED: usize = 9;
-
-/// Why the readings cannot be used at all.
-fn unusable(data: &WhiskerData, sealed: &Sealed<WhiskerRow>) -> Option<String> {
-    let loaded = data.rows.iter().filter(|r| r.role != Role::Rest).count();
-    if loaded < MIN_LOADED {
-        return Some(format!(
-            "The session has {loaded} loaded readings; K, the zero and a residual need at least {MIN_LOADED}."
-        ));
-    }
-    if let Some(why) = clock_fault(data.rows.iter().map(|r| r.t_s)) {
-        return Some(format!("The data cannot be used: {why}."));
-    }
-    sealed.refusal(&data.rows[..], |sealed, fitted| {
-        let timed = |r: &WhiskerRow| Some([&[r.t_s?, r.stage_mm?], &r.shift_pm[..]].concat());
-        let fitted = fitted.iter().filter(|r| r.role != Role::Rest).map(timed);
-        Some(format!("{}.", sealed_in_fit(fitted, sealed.iter().filter(|r| r.sealed).map(timed))?))
-    })
-}
-
 /// Verifies a whisker session.
 ///
 /// # Errors
@@ -85,15 +61,12 @@ pub fn verify_whisker(
         document.inputs = inputs.to_vec();
         Ok(Verified::Refused(Box::new(document)))
     };
-    if let Some(reason) = unusable(data, &sealed) {
-        return refused(reason);
-    }
     let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
     let model = WhiskerSystem::new(data, &rows)?;
-    if let Some(reason) = sensitivity::of_system(&model) {
-        return refused(reason);
-    }
-    let v = verify(model, sealed, witnesses, request).map_err(|e| e.of_session(session))?;
+    let v = match verify(model, sealed, witnesses, request).map_err(|e| e.of_session(session))? {
+        Loop::Done(v) => v,
+        Loop::Refused(reason) => return refused(reason),
+    };
     let document = VerifyDocument { session: session.to_owned(), inputs: inputs.to_vec(), ..v.document() };
     let open = v.decision.model();
     Ok(Verified::Done(Box::new(WhiskerVerification {

@@ -1,7 +1,7 @@
 //! Where an effect of the whisker acts: on the pose, the rod, the sensor, the pictures, or as columns of the readout.
 
 use super::path::WhiskerPath;
-use super::pictures::PairObservation;
+use super::picture_observations::PairObservation;
 use super::rod_parameters::RodParameters;
 use crate::effect::{Effect, EffectModel, EffectTerm, Values};
 

@@ -3,9 +3,10 @@
 use super::error_summary::{coverage95, rmse, summarise};
 use super::session_model::{Folds, HeldOut, SessionModel};
 use crate::method::fit::{Weights, fit};
-use crate::method::hypothesis::{Hypothesis, SearchResult};
+use crate::method::hypothesis::Hypothesis;
 use crate::method::linear::{Basis, stack_with};
 use crate::method::noise::Noise;
+use crate::method::search_result::SearchResult;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use wcal_core::median::median;
@@ -80,7 +81,7 @@ impl LeftOut {
         let error = |h: &Hypothesis| Some(rmse(&leave.errors(h, &[], false), 0)).filter(|e| e.is_finite());
         let with = if effects.is_empty() { None } else { error(accepted) };
         let of = |effect: usize| {
-            let without = accepted.without(model, |_, t| t.effect == effect, 15)?;
+            let without = accepted.without(model, |_, t| t.effect == effect)?;
             Some(EffectAblation {
                 id: model.catalogue()[effect].id.to_owned(),
                 misfit_ratio: (without.fit.ssr / accepted.fit.ssr).sqrt(),
@@ -95,7 +96,7 @@ impl LeftOut {
 
 /// Errors on what each fold leaves out, where nothing was sealed. Every fold chooses anew among the refitted explanations, unless one was
 /// accepted on request.
-pub fn cross_validate<M: SessionModel>(
+pub fn leave_out<M: SessionModel>(
     model: &M,
     found: &SearchResult,
     accepted: &Hypothesis,

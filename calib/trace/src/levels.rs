@@ -1,0 +1,109 @@
+//! The error budget. Every test that can change a verdict spends from one of two accounts; a threshold in other units is computed from its level.
+//!
+//! ```text
+//! sum of the shares of FALSE_ALARM = FALSE_ALARM,     sum of the shares of FALSE_DROP = FALSE_DROP          (Bonferroni)
+//! ```
+//!
+//! The exam prints the rejections of clean sessions beside FALSE_ALARM: a search that is made again under another noise looks again, and only the last
+//! look decides.
+
+use statrs::distribution::{ChiSquared, ContinuousCDF, Normal};
+
+/// Chance that a session in which nothing acts gets a name, is called unknown or loses its calibration.
+pub const FALSE_ALARM: f64 = 0.025;
+/// Share of the catalogue: names an effect.
+pub const CATALOGUE: f64 = 0.40 * FALSE_ALARM;
+/// Share of the generic drivers: says that something is left.
+pub const GENERIC: f64 = 0.20 * FALSE_ALARM;
+/// Share of the correlation of neighbours.
+pub const SERIAL: f64 = 0.08 * FALSE_ALARM;
+/// Share of the lack of fit against pure error, where readings repeat.
+pub const REPLICATES: f64 = 0.08 * FALSE_ALARM;
+/// Share of single readings far outside the noise, open and sealed ones alike.
+pub const SINGLE_READINGS: f64 = 0.08 * FALSE_ALARM;
+/// Share of the law of the spread: small, since weighing anew moves every other number.
+pub const SPREAD: f64 = 0.04 * FALSE_ALARM;
+/// Share of further measurements of the instrument.
+pub const WITNESSES: f64 = 0.08 * FALSE_ALARM;
+/// Share of the sealed readings over all looks, see `Look::level`: the first has half of it. Far below the rest, since a memory effect's curvature is
+/// only linearised there.
+pub const HOLDOUT: f64 = 0.008 * FALSE_ALARM;
+/// Share of an error far above the floor on readings that no fit saw.
+pub const ABOVE_FLOOR: f64 = 0.032 * FALSE_ALARM;
+
+/// Chance that any verdict-changing test of the omnibus family rejects where nothing is there.
+pub const OMNIBUS: f64 = CATALOGUE + GENERIC + SERIAL + REPLICATES;
+
+/// Chance that a true name is taken back.
+pub const FALSE_DROP: f64 = 0.05;
+/// Share of the noise that would stand in its place.
+pub const RETAIN: f64 = 0.4 * FALSE_DROP;
+/// Share of what is left without one level of the stimulus or one cycle.
+pub const DELETION: f64 = 0.2 * FALSE_DROP;
+/// Share of what physics allows of a parameter.
+pub const RANGE: f64 = 0.2 * FALSE_DROP;
+/// Share of a rival that seems better.
+pub const RIVAL: f64 = 0.2 * FALSE_DROP;
+
+/// The same against correlated noise: its time constant comes from a few stretches of the very readings, and a slow effect looks like it.
+pub const RETAIN_BESIDE_CORRELATED: f64 = 1e-3;
+/// Chance below which something is there, even where the name that was found for it is taken back.
+pub const NEGLIGIBLE: f64 = 1e-3;
+/// Within the strata of a protocol that repeats.
+pub const WITHIN_STRATA: f64 = 1e-4;
+/// Between them, where a law stands against an arbitrary table of as many places.
+pub const BETWEEN_STRATA: f64 = 0.01;
+/// What chance gives once in a thousand sessions is no sensitivity.
+pub const NO_SENSITIVITY: f64 = 1e-3;
+/// What a part of the noise has to gain by chance.
+pub const NOISE_PART: f64 = 0.003;
+/// What a remark needs; it changes nothing.
+pub const REMARK: f64 = 0.01;
+
+const _: () = {
+    let alarms = CATALOGUE
+        + GENERIC
+        + SERIAL
+        + REPLICATES
+        + SINGLE_READINGS
+        + SPREAD
+        + WITNESSES
+        + HOLDOUT
+        + ABOVE_FLOOR;
+    let drops = RETAIN + DELETION + RANGE + RIVAL;
+    assert!((alarms - FALSE_ALARM).abs() < 1e-12 && (drops - FALSE_DROP).abs() < 1e-12);
+};
+
+/// Two-sided 95 % of a Gaussian.
+pub const NORMAL_95: f64 = 1.959_963_984_540_054;
+/// Akaike's price of a parameter in -2 log L.
+pub const PRICE: f64 = 2.0;
+/// Lead in the criterion from which one description replaces another: e^(-10/2), "essentially none" (Burnham & Anderson 2002, 2.6).
+pub const LEAD: f64 = 10.0;
+
+/// One-sided normal quantile of a level.
+pub fn z(level: f64) -> f64 {
+    -Normal::standard().inverse_cdf(level)
+}
+
+/// What -2 log L must gain by `parameters` more at a level.
+pub fn gain(level: f64, parameters: u8) -> f64 {
+    ChiSquared::new(f64::from(parameters.max(1))).map_or(f64::INFINITY, |d| d.inverse_cdf(1.0 - level))
+}
+
+/// The same by one parameter at the bound of its range (Self & Liang 1987): half the draws gain nothing.
+pub fn gain_at_bound(level: f64) -> f64 {
+    gain(2.0 * level, 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn levels_in_other_units_are_those_of_the_tables() {
+        assert!((z(0.025) - NORMAL_95).abs() < 1e-9);
+        assert!((gain(0.05, 1) - 3.841_459).abs() < 1e-5 && (gain(0.05, 2) - 5.991_465).abs() < 1e-5);
+        assert!((gain_at_bound(0.05) - 2.705_543).abs() < 1e-5);
+    }
+}

@@ -1,0 +1,75 @@
+//! Whether an explanation may stand: inside what physics allows, with nothing in it that is none, and its fit at an end.
+
+use super::fit::{Fit, Status, fit};
+use super::hypothesis::Hypothesis;
+use super::min_p::{MinPDistribution, f_test};
+use super::range_check::range_check;
+use crate::effect::{EffectTerm, Role, TermKey, keys};
+use crate::measurement_model::MeasurementModel;
+
+/// Steps of a refit from an optimum beside it.
+pub const REFIT_STEPS: usize = 15;
+/// One-sided amplitudes below this share of their usual size are no explanation. The least usual sizes lie at 0.2 of it (1e-3 of base
+/// compliance, 2 um of backlash), and estimates scatter about them.
+const MIN_SHARE: f64 = 0.1;
+
+impl Hypothesis {
+    /// What its terms stand for, ascending, and the outliers where readings are flagged: explanations of one key are one.
+    pub fn key(&self, system: &dyn MeasurementModel, outliers: Option<usize>) -> Vec<TermKey> {
+        let mut key = keys(&self.fit.terms, system.catalogue());
+        if let (Some(effect), false) = (outliers, self.flagged.is_empty()) {
+            key.push(TermKey { effect, law: 0, instance: 0 });
+            key.sort_unstable();
+        }
+        key
+    }
+
+    /// Every parameter lies inside its physical range, every amplitude is there, and no two terms stand for the same.
+    pub fn physical(&self, system: &dyn MeasurementModel) -> bool {
+        let mut slot = 0;
+        for t in &self.fit.terms {
+            let law = &system.catalogue()[t.effect].law(t.law);
+            for (p, v) in law.parameters.iter().zip(&t.values) {
+                let at_bound = self.fit.at_bound[slot];
+                slot += 1;
+                // A share of one is complete, not out of range.
+                let complete = matches!(p.role, Role::Amplitude { .. }) && p.range[1] == 1.0 && *v > 0.5;
+                // Far below the usual size the effect is a correction to something else, not an explanation.
+                let negligible = match p.role {
+                    Role::Amplitude { probe } => p.range[0] == 0.0 && *v < MIN_SHARE * probe,
+                    Role::Shape { .. } => false,
+                };
+                if (at_bound && !complete) || negligible {
+                    return false;
+                }
+            }
+        }
+        let terms = &self.fit.terms;
+        let apart = |k: usize| terms[..k].iter().all(|t| t.beside(&terms[k], system.catalogue()));
+        (1..terms.len()).all(apart)
+            && self.fit.status != Status::RankDeficient
+            && range_check(system, &self.fit)
+    }
+
+    /// The same without the terms that `leaves`, everything else refitted; none where that has no fit.
+    pub fn without(
+        &self,
+        system: &dyn MeasurementModel,
+        leaves: impl Fn(usize, &EffectTerm) -> bool,
+    ) -> Option<Self> {
+        let kept = self.fit.terms.iter().enumerate().filter(|(k, t)| !leaves(*k, t));
+        let terms: Vec<EffectTerm> = kept.map(|(_, t)| t.clone()).collect();
+        Some(Self { fit: fit(system, &terms, &self.weights, REFIT_STEPS)?, ..self.clone() })
+    }
+
+    /// p-value of what it lacks of `with`, adjusted by the family that was searched.
+    pub fn removal_p(&self, with: &Fit, family: &MinPDistribution) -> f64 {
+        let extra = (self.fit.dof - with.dof).max(1.0) as usize;
+        family.adjusted(f_test(self.fit.ssr - with.ssr, self.fit.ssr, self.fit.dof, extra))
+    }
+
+    /// Whether it may be accepted: physical, and its sum of squares no longer falls.
+    pub fn acceptable(&self, system: &dyn MeasurementModel) -> bool {
+        self.fit.status != Status::NotConverged && self.physical(system)
+    }
+}

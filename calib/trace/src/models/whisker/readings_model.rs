@@ -1,0 +1,94 @@
+//! The readings of a whisker session, and the pictures beside them, as the statistics see them.
+
+use super::covariates::covariates;
+use super::stage_clock::CLOCK_SD_S;
+use super::system::{WhiskerSystem, dynamic};
+use super::whisker_effect::ActiveEffect;
+use crate::effect::{Effect, EffectTerm, LawRequirement};
+use crate::measurement_model::MeasurementModel;
+use crate::method::noise::{NoiseInputs, Weights};
+use crate::whisker::path::WhiskerPath;
+use nalgebra::{DMatrix, DVector};
+use std::sync::Arc;
+
+impl WhiskerPath {
+    /// Columns of the readout at `sensed` moments, one value a reading each: zero, both moments, zeros of seatings, those of effects.
+    pub(super) fn readout_columns(
+        &self,
+        seatings: u32,
+        effects: &[ActiveEffect],
+        sensed: &[[f64; 2]],
+    ) -> Vec<Vec<f64>> {
+        let moment = |c: usize| sensed.iter().map(|m| m[c]).collect();
+        let mut columns = vec![vec![1.0; sensed.len()], moment(0), moment(1)];
+        columns.extend(self.seating_columns(seatings));
+        columns.extend(effects.iter().flat_map(|a| (a.effect.columns)(&a.values(), self, sensed)));
+        columns
+    }
+}
+
+impl MeasurementModel for WhiskerSystem {
+    fn channels_pm(&self) -> DMatrix<f64> {
+        dynamic(&self.whitening)
+    }
+
+    fn measured(&self) -> &DMatrix<f64> {
+        &self.measured
+    }
+
+    fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
+        let (sensed, _) = self.moments(terms)?;
+        let columns = self.path.readout_columns(self.seatings, &self.active(terms), &sensed);
+        let design = DMatrix::from_fn(sensed.len(), columns.len(), |i, j| columns[j][i]);
+        design.iter().all(|v| v.is_finite()).then_some(design)
+    }
+
+    fn auxiliary_residual(&self, terms: &[EffectTerm], weights: &Weights) -> Option<DVector<f64>> {
+        let Some(pictures) = &self.pictures else { return Some(DVector::zeros(0)) };
+        let seen = self.seen(terms)?;
+        let w = pictures.whitened(&seen, |i| weights.counts(i)) * self.picture_scale;
+        w.iter().all(|v| v.is_finite()).then_some(w)
+    }
+
+    fn witness_readings(&self) -> Arc<Vec<usize>> {
+        self.pictures.as_ref().map_or_else(Arc::default, |p| p.readings())
+    }
+
+    fn witness_variance(&self) -> f64 {
+        self.picture_scale.powi(2)
+    }
+
+    fn catalogue(&self) -> &[Effect] {
+        &self.catalogue
+    }
+
+    fn not_observable(&self, effect: usize) -> Option<String> {
+        let effect = &self.catalogue[effect];
+        if self.refuted.iter().any(|id| id == effect.id) {
+            return Some("another measurement of this whisker refutes it".to_owned());
+        }
+        effect.needs().iter().find_map(|need| self.unmet(*need)).map(str::to_owned)
+    }
+
+    fn groups(&self) -> &[u32] {
+        &self.groups
+    }
+
+    fn covariates(&self) -> Vec<(String, Vec<f64>)> {
+        covariates(self)
+    }
+
+    fn judged_left_out(&self) -> bool {
+        true
+    }
+
+    fn shared_sd(&self, effect: usize, parameter: &str) -> f64 {
+        let stamped =
+            self.catalogue[effect].needs().contains(&LawRequirement::Motion) && parameter == "lag_s";
+        if stamped && self.is_read_in_motion() { CLOCK_SD_S } else { 0.0 }
+    }
+
+    fn noise_inputs(&self) -> NoiseInputs {
+        super::noise::noise_inputs(&self.data, &self.path)
+    }
+}

@@ -1,0 +1,133 @@
+//! What predicts readings that are left out in turn keeps its name; what does not is taken back.
+
+use super::conclusion::{Facts, Withdrawn};
+use super::evidence::{Evidence, independent};
+use super::explained::Explained;
+use super::left_out::{LeftOut, leave_out};
+use super::request::VerifyRequest;
+use super::session_model::SessionModel;
+use super::support::supported;
+use crate::error::TraceError;
+use crate::levels::NEGLIGIBLE;
+use crate::measurement_model::MeasurementModel;
+use crate::method::earned::earned;
+use crate::method::hypothesis::{Gate, Hypothesis, Rejection};
+use crate::method::noise::Noise;
+use crate::method::noise_estimator::NoiseEstimator;
+use crate::method::omnibus::omnibus_test;
+use crate::method::options::Options;
+use crate::method::search::declared;
+use crate::method::search_result::SearchResult;
+use wcal_core::verify_document::TwinFault;
+
+/// An explanation that readings left out in turn bear out.
+pub struct Validated<M> {
+    /// The model at the open readings.
+    pub model: M,
+    /// What was found.
+    pub explained: Explained,
+    /// Faults of an outside twin.
+    pub faults: Vec<TwinFault>,
+    /// The explanation.
+    pub accepted: Hypothesis,
+    /// It was asked for.
+    pub on_request: bool,
+    /// What was taken back for it.
+    pub withdrawn: Option<Withdrawn>,
+    /// Its noise.
+    pub noise: Noise,
+    /// Errors of readings left out in turn.
+    pub left_out: LeftOut,
+}
+
+/// Cross-validates what the search found over whole trajectories, cycles or stimuli; each fold chooses anew among the refitted explanations.
+///
+/// # Errors
+/// Where the declared model's residuals have no noise, or no surviving explanation has the effects that are to be accepted.
+pub fn cross_validate<M: SessionModel>(
+    e: Evidence<M>,
+    found: SearchResult,
+    request: &VerifyRequest,
+) -> Result<Validated<M>, TraceError> {
+    let (model, explained) = explained(e, found)?;
+    let (seed, faults) = (request.search.seed, model.twin_faults());
+    let facts = Facts::of(&model, &explained, &faults);
+    // What is asked for, else what the data support term by term.
+    let asked = facts.asked(&request.accept)?.cloned();
+    let on_request = asked.is_some();
+    let mut accepted = match asked {
+        Some(chosen) => chosen,
+        None if facts.is_ambiguous() => facts.accepted().clone(),
+        None => supported(&model, &explained.found, facts.accepted()),
+    };
+    let (found, mut noise) = (&explained.found, &explained.noise);
+    let mut left_out = leave_out(&model, found, &accepted, noise, on_request, seed);
+    let may_fall = !accepted.fit.terms.is_empty() && !on_request && facts.asserts(&accepted, on_request);
+    let rise = left_out.rise(&model).filter(|_| may_fall);
+    let names = |h: &Hypothesis| facts.effects(h).into_iter().map(|e| e.id).collect();
+    let withdrawn = rise.map(|errors| Withdrawn { names: names(&accepted), errors });
+    if withdrawn.is_some() {
+        (accepted, noise) = (found.base.clone(), &explained.declared_noise);
+        left_out = leave_out(&model, found, &accepted, noise, on_request, seed);
+    }
+    let noise = noise.clone();
+    Ok(Validated { model, explained, faults, accepted, on_request, withdrawn, noise, left_out })
+}
+
+/// The noise that a decision rests on, and what is left under it. Correlated noise that takes up everything is one description; a smooth course
+/// that no catalogue has may be the better one.
+///
+/// # Errors
+/// Where the declared model's residuals have no noise.
+fn explained<M: SessionModel>(e: Evidence<M>, mut found: SearchResult) -> Result<(M, Explained), TraceError> {
+    let Evidence { model, options, correlated_gain, plain_test, exact, tests, rejections, .. } = e;
+    found.rejections.extend(rejections);
+    let judge = NoiseEstimator::new(&model, options.seed).with_correlated_gain(correlated_gain);
+    let base = declared(&model, &independent(&model), options.seed).ok_or(TraceError::NoSolution)?;
+    let declared_noise = judge.noise(&base, &[]).ok_or(TraceError::NoSolution)?.0;
+    if exact {
+        let noise = Noise::none(&declared_noise);
+        let explained = Explained { found, declared_noise: noise.clone(), noise, exact, tests };
+        return Ok((model, explained));
+    }
+    let nothing = found.best.fit.terms.is_empty() && found.left().is_none();
+    let correlated = |h: &Hypothesis| judge.noise(h, &[]).is_some_and(|n| n.0.correlated.is_some());
+    if nothing
+        && correlated(&found.best)
+        && let Some(scores) = judge.covariate_scores(&found.best, &plain_test)
+    {
+        found.first_test.covariates = scores;
+        found.covariate_beats_catalogue = true;
+    }
+    if model.judged_left_out() {
+        withdraw_below_model_error(&model, &mut found, &options);
+    }
+    let columns = found.left().and_then(|g| g.covariates.first()).map_or(Vec::new(), |d| d.columns.clone());
+    let noise = judge.noise(&found.best, &columns).or_else(|| judge.noise(&found.best, &[]));
+    let noise = noise.map_or_else(|| declared_noise.clone(), |n| n.0);
+    let mut explained = Explained { found, noise, declared_noise, exact, tests };
+    model.complete(&mut explained, &options);
+    Ok((model, explained))
+}
+
+/// Takes back what does not earn its name on readings that are left out, and calls what is then left by its size.
+fn withdraw_below_model_error(system: &dyn MeasurementModel, found: &mut SearchResult, options: &Options) {
+    let (best, within) = earned(system, &found.best);
+    let mut small = found.last_test.is_small(&found.best.fit);
+    if !within.is_empty() {
+        // Where nothing was left beside it, what is left is what was taken back: a finding of chance, or more than that.
+        let nothing_beside = small || !found.last_test.generic();
+        found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
+        found.last_test.leave_out(&best.fit, &within);
+        let by_chance = found.last_test.p_covariates.min(found.last_test.p_serial) >= NEGLIGIBLE;
+        small = (nothing_beside && by_chance) || found.last_test.is_small(&best.fit);
+        let lacks = |h: &Hypothesis| h.fit.terms.iter().all(|t| !within.contains(&t.effect));
+        found.survivors = vec![best.clone()];
+        found.refitted.retain(lacks);
+        found.refitted.insert(0, best.clone());
+        found.best = best;
+        let names = within.iter().map(|&e| system.catalogue()[e].id.to_owned()).collect();
+        found.rejections.push(Rejection { effects: names, gate: Gate::LeftOutError, why: String::new() });
+    }
+    found.last_test.within_model_error = small;
+}

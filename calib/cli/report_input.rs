@@ -120,7 +120,7 @@ pub fn of_scalar(
             gate.push(GateTest {
                 name: format!("{name}: lack of fit F"),
                 statistic: Some(l.f),
-                p_value: Some(l.p_value),
+                p_value: l.p_value,
                 detail: format!("against repetitions, {} and {} degrees of freedom", l.dof, l.pure_dof),
             });
         }

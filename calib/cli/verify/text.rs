@@ -76,7 +76,9 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     // Of a transducer the session declares the unit; the other kinds have theirs in the names.
     let unit = report.residuals.first().map_or("", |r| r.unit.as_str()).trim();
     let verdict = serde_json::to_value(v.verdict).unwrap_or_default();
-    println!("{}{}: {}", v.session, word(v.simulated), verdict.as_str().unwrap_or_default());
+    let contradicted = v.holdout.outcome == HoldoutOutcome::Contradicted;
+    let but = if contradicted { ", but the sealed readings contradict it" } else { "" };
+    println!("{}{}: {}{but}", v.session, word(v.simulated), verdict.as_str().unwrap_or_default());
     println!("  {}", v.reason);
     for f in &v.twin.faults {
         let points: Vec<String> = f.points.iter().map(ToString::to_string).collect();

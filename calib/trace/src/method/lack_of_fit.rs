@@ -4,9 +4,9 @@
 //! S_pure = sum over settings, sum over their readings of (r - mean)^2,   F = ((S - S_pure) / d) / (S_pure / d_pure)
 //! ```
 
+use super::distributions::f_tail;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// Pure error from readings of one stimulus, and lack of fit against it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -19,12 +19,12 @@ pub struct LackOfFit {
     pub f: f64,
     /// Its degrees of freedom.
     pub dof: f64,
-    /// p-value.
-    pub p_value: f64,
+    /// p-value; null where nothing is left to test.
+    pub p_value: Option<f64>,
 }
 
 /// Splits the misfit of a model with `parameters` free values. `keys` groups replicates; rows with weight 0 do not count.
-/// None where nothing was repeated, or nothing is left to test.
+/// None where nothing was repeated.
 pub fn lack_of_fit(residual: &[f64], keys: &[u64], weights: &[f64], parameters: usize) -> Option<LackOfFit> {
     let mut rows: Vec<usize> = (0..residual.len()).filter(|&i| weights[i] > 0.0).collect();
     rows.sort_by_key(|&i| keys[i]);
@@ -42,12 +42,8 @@ pub fn lack_of_fit(residual: &[f64], keys: &[u64], weights: &[f64], parameters: 
     }
     let total: f64 = rows.iter().map(|&i| residual[i].powi(2)).sum();
     let pure_variance = pure / pure_dof;
-    let (f, p_value) = if dof >= 1.0 {
-        let f = ((total - pure).max(0.0) / dof) / pure_variance;
-        (f, FisherSnedecor::new(dof, pure_dof).map_or(1.0, |d| d.sf(f)))
-    } else {
-        (0.0, 1.0)
-    };
+    let f = ((total - pure).max(0.0) / dof.max(1.0)) / pure_variance;
+    let p_value = f_tail(f, [dof, pure_dof]);
     Some(LackOfFit { pure_sd: pure_variance.sqrt(), pure_dof, f, dof, p_value })
 }
 
@@ -63,6 +59,6 @@ mod tests {
         let moved: Vec<f64> = (0..12).map(|k| noise[k % 3] + if k / 3 == 1 { 1.0 } else { 0.0 }).collect();
         let good = lack_of_fit(&fair, &keys, &[1.0; 12], 2).unwrap();
         let bad = lack_of_fit(&moved, &keys, &[1.0; 12], 2).unwrap();
-        assert!(good.p_value > 0.5 && bad.p_value < 1e-4, "{good:?} {bad:?}");
+        assert!(good.p_value > Some(0.5) && bad.p_value < Some(1e-4), "{good:?} {bad:?}");
     }
 }

@@ -1,12 +1,12 @@
 //! What chance alone would give: min-p over all signatures under white Gaussian noise, simulated in their joint span.
 
+use super::distributions::f_tail;
 use super::linear::JointSpan;
 use super::options::Options;
 use super::signature::Signature;
 use nalgebra::DMatrix;
 use rand::SeedableRng;
 use rand_distr::{ChiSquared, Distribution, StandardNormal, StudentT};
-use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// Draws that are projected together.
 const BATCH: usize = 250;
@@ -22,7 +22,7 @@ pub fn f_test(gain: f64, ssr: f64, dof: f64, d: usize) -> f64 {
     if !f.is_finite() {
         return if f == f64::INFINITY { 1e-300 } else { 1.0 };
     }
-    FisherSnedecor::new(d, left).map_or(1.0, |dist| dist.sf(f)).max(1e-300)
+    f_tail(f, [d, left]).map_or(1.0, |p| p.max(1e-300))
 }
 
 /// p-value of an signature on a residual; one-sided laws use half the F tail.

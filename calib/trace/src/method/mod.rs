@@ -5,6 +5,7 @@ pub mod ambiguity;
 #[cfg(test)]
 mod columns_system_test;
 pub mod covariates;
+pub mod distributions;
 pub mod earned;
 pub mod fit;
 pub mod fitted;

@@ -8,8 +8,8 @@
 use super::judgement::MIN_COVERAGE;
 use super::left_out::Errors;
 use super::session_model::{FloorStatement, SessionModel};
+use crate::method::distributions::f_tail;
 use crate::method::hypothesis::Hypothesis;
-use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// At twice the floor three quarters of the error's variance is no noise of the readings.
 const FAR_ABOVE: f64 = 2.0;
@@ -64,7 +64,7 @@ pub fn far_above_floor<M: SessionModel>(
     let values = (readings * model.measured().ncols() as f64).max(1.0);
     let ratio = error / (floor.sd * errors.noise_ratio.max(1.0) * widening);
     let dof = model.floor_dof(accepted).unwrap_or(FLOOR_DOF).max(1.0);
-    let chance = FisherSnedecor::new(values, dof).map_or(1.0, |f| f.sf(ratio * ratio));
+    let chance = f_tail(ratio * ratio, [values, dof])?;
     // A level that is left out at the end of the range is extrapolated to: intervals that say so, on a noise that is the floor's, are no fault.
     let stated = accepted.fit.readings_variance().sqrt() * model.noise_factor() <= FAR_ABOVE * floor.sd
         && errors.coverage95.is_some_and(|c| c >= MIN_COVERAGE);

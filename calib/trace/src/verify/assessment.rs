@@ -8,14 +8,15 @@
 //! Prediction F test; Seber & Lee, "Linear Regression Analysis", 2nd ed., ch. 5. The decision cannot change by it: the sealed readings confirm it, do
 //! not contradict it, or veto its calibration. A reading is set aside only where both models put it beyond the limit that the open readings gave.
 
-use super::acceptance::{Unfit, far_above_floor};
+use super::acceptance::far_above_floor;
 use super::decision::Decision;
 use super::error_summary::{coverage95, summarise};
 use super::left_out::{Errors, SharedNoise, noise_ratio};
 use super::refutation::refuted;
 use super::session_model::{HeldOut, Quantity, Record, SessionModel};
 use crate::error::TraceError;
-use crate::levels::{ABOVE_FLOOR, HOLDOUT, SINGLE_READINGS};
+use crate::levels::{ABOVE_FLOOR, HOLDOUT, RIVAL, SINGLE_READINGS};
+use crate::method::distributions::f_tail;
 use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
@@ -23,7 +24,7 @@ use crate::method::linear::stack;
 use crate::method::noise::Noise;
 use crate::method::noise::tails::Tails;
 use nalgebra::DMatrix;
-use statrs::distribution::{ContinuousCDF, FisherSnedecor, Normal, StudentsT};
+use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 use wcal_core::verify_document::{HoldoutJudgement, HoldoutOutcome};
 use wcal_core::{Look, ResidualRecord};
 
@@ -103,7 +104,7 @@ fn errors<M: SessionModel>(
     }
 }
 
-/// The one test that was fixed in advance, and whether the declared model fails on the readings that the accepted one predicts.
+/// The tests that were fixed in advance: noise and parameters, the floor of repeats, and which of the two models the readings speak against.
 fn judgement<M: SessionModel>(
     decision: &Decision<M>,
     whole: &M,
@@ -123,21 +124,29 @@ fn judgement<M: SessionModel>(
     let counts = |i: &usize| whole.scored()[*i] && !flagged.contains(i);
     let sd: Vec<f64> = (0..sd.len()).filter(counts).map(|i| sd[i] * whole.noise_factor()).collect();
     let of = |p: &M::Predictions| scored(whole, p, flagged);
-    let tells = || refuted(&of(after), &of(before), &sd);
-    let outcome = match p {
-        Some(p) if p < level => HoldoutOutcome::Contradicted,
-        _ if far.is_some() => HoldoutOutcome::Contradicted,
-        Some(_) if accepted.fit.terms.is_empty() || tells() => HoldoutOutcome::Confirmed,
-        _ => HoldoutOutcome::NotContradicted,
+    // Of two models the one that the other's readings speak against.
+    let against = |wrong, right| {
+        refuted(&of(right), &of(wrong), &sd, look.level(2.0 * RIVAL)) && !accepted.fit.terms.is_empty()
     };
     let unit = whole.quantities()[0].unit;
-    let why = match (outcome, far) {
-        (HoldoutOutcome::Contradicted, Some(far @ Unfit::FarAboveFloor(_))) => far.sentence(unit),
-        (HoldoutOutcome::Contradicted, _) => {
-            "The sealed readings contradict what the fitted readings allow: something acts there that they do not show.".to_owned()
+    let contradicted = |why: String| (HoldoutOutcome::Contradicted, why);
+    let (outcome, why) = match (p, far) {
+        (Some(p), _) if p < level => contradicted(
+            "The sealed readings contradict what the fitted readings allow: something acts there that they do not show."
+                .to_owned(),
+        ),
+        (_, Some(far)) => contradicted(far.sentence(unit)),
+        _ if against(after, before) => contradicted(
+            "The sealed readings contradict the accepted effects: their error rises with them, beyond chance.".to_owned(),
+        ),
+        (Some(_), _) if accepted.fit.terms.is_empty() || against(before, after) => {
+            (HoldoutOutcome::Confirmed, "The sealed readings agree with the accepted model.".to_owned())
         }
-        (HoldoutOutcome::Confirmed, _) => "The sealed readings agree with the accepted model.".to_owned(),
-        _ => "The sealed readings do not contradict the accepted model, and do not tell it from the declared one.".to_owned(),
+        _ => (
+            HoldoutOutcome::NotContradicted,
+            "The sealed readings do not contradict the accepted model, and do not tell it from the declared one."
+                .to_owned(),
+        ),
     };
     HoldoutJudgement {
         outcome,
@@ -241,7 +250,7 @@ pub fn holdout_p<M: SessionModel>(
         });
     }
     let f = whitened.norm_squared() / count as f64;
-    FisherSnedecor::new(count as f64, accepted.fit.dof.max(1.0)).ok().map(|d| d.sf(f))
+    f_tail(f, [count as f64, accepted.fit.dof])
 }
 
 /// Readings of which the covariance is taken at most: it is dense.

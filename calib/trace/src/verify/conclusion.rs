@@ -195,7 +195,9 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         let all = found.survivors.iter().zip(&same_class).filter(|_| something);
         let rivals = all.filter(|(h, of_class)| rival(h, **of_class)).map(|(h, _)| h.clone()).collect();
         let against_pure_error = model.lack_of_fit(found.accepted()).filter(|_| !explained.exact);
-        let lack = |(l, driver): (LackOfFit, UnknownEffect)| (l.p_value < REPLICATES).then_some(driver);
+        let lack = |(l, driver): (LackOfFit, UnknownEffect)| {
+            l.p_value.is_some_and(|p| p < REPLICATES).then_some(driver)
+        };
         Self {
             model,
             explained,
@@ -205,7 +207,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             rivals,
             left: !explained.exact
                 && (covariate_wins || (found.last_test.rejected() && !model.residual_explained(found))),
-            p_lack_of_fit: against_pure_error.as_ref().map(|(l, _)| l.p_value),
+            p_lack_of_fit: against_pure_error.as_ref().and_then(|(l, _)| l.p_value),
             lack: against_pure_error.and_then(lack),
         }
     }
@@ -394,7 +396,8 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             join(&withdrawn.names),
             format!("{after} {unit}").trim_end()
         );
-        let lack = self.model.lack_of_fit(&base).is_some_and(|(l, _)| l.p_value < REPLICATES);
+        let lack =
+            self.model.lack_of_fit(&base).is_some_and(|(l, _)| l.p_value.is_some_and(|p| p < REPLICATES));
         let (verdict, reason) = if self.found().first_test.generic() || lack {
             let left = "A residual remains that no catalogued effect explains.";
             (Verdict::UnknownEffect, format!("{found} {left}"))

@@ -4,12 +4,12 @@
 use super::session_model::SessionModel;
 use crate::effect::Role;
 use crate::levels::CATALOGUE;
+use crate::method::distributions::f_tail;
 use crate::method::fit::Fit;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
 use crate::method::search_result::SearchResult;
 use nalgebra::{DMatrix, DVector};
-use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// `h` without the terms that are none: beside the others each has to pass the level at which the search names. The least supported one
 /// first; itself where all are.
@@ -54,5 +54,5 @@ fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> b
     let spread = DMatrix::from_fn(n, n, |i, j| c[(amplitudes[i].1, amplitudes[j].1)]);
     let Some(factor) = spread.cholesky() else { return true };
     let f = values.dot(&factor.solve(&values)) / n as f64;
-    FisherSnedecor::new(n as f64, fit.dof.max(1.0)).map_or(true, |d| d.sf(f) >= 0.05)
+    f_tail(f, [n as f64, fit.dof]).is_none_or(|p| p >= 0.05)
 }

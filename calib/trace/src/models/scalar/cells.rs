@@ -15,6 +15,7 @@ use crate::effect::{EffectTerm, LawRequirement};
 use crate::levels::{BETWEEN_STRATA, WITHIN_STRATA};
 use crate::measurement_model::MeasurementModel;
 use crate::method::admissible::REFIT_STEPS;
+use crate::method::distributions::f_tail;
 use crate::method::fit::{Fit, Weights, fit};
 use crate::method::hypothesis::{Hypothesis, NotIdentified};
 use crate::method::linear::Basis;
@@ -23,7 +24,6 @@ use crate::method::search_result::SearchResult;
 use crate::method::signature::Signature;
 use crate::method::support::rests_on;
 use nalgebra::{DMatrix, DVector};
-use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 /// Repeats from which cells say something of a law.
 const MIN_PURE_DOF: usize = 5;
@@ -96,7 +96,7 @@ fn fall(without: Part, with: Part) -> f64 {
         return 1.0;
     }
     let f = gain / extra / (with.ss / with.dof).max(1e-300);
-    FisherSnedecor::new(extra, with.dof).map_or(1.0, |d| d.sf(f))
+    f_tail(f, [extra, with.dof]).unwrap_or(1.0)
 }
 
 /// Cells hold repeats enough to say something.

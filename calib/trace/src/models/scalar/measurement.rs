@@ -116,10 +116,16 @@ impl SessionText for ScalarSystem {
         }
         for (model, h) in [("declared", &found.base), ("accepted", accepted)] {
             if let Some(l) = self.pure_error(h) {
-                notes.push(format!(
-                    "Lack of fit of the {model} model against repetitions: F = {:.4} on {} and {} degrees of freedom, p = {:.2e}.",
-                    l.f, l.dof, l.pure_dof, l.p_value
-                ));
+                let judged = l.p_value.map_or_else(
+                    || ", which cannot be judged".to_owned(),
+                    |p| {
+                        format!(
+                            ": F = {:.4} on {} and {} degrees of freedom, p = {p:.2e}",
+                            l.f, l.dof, l.pure_dof
+                        )
+                    },
+                );
+                notes.push(format!("Lack of fit of the {model} model against repetitions{judged}."));
             }
         }
         if self.spread().is_some() {

@@ -49,7 +49,7 @@ pub(super) fn with_spread_of(
     seed: u64,
 ) -> Option<ScalarSystem> {
     // What a model leaves where repeats contradict it grows where it is wrong: that is no noise.
-    let contradicted = system.pure_error(accepted).is_some_and(|l| l.p_value < REPLICATES);
+    let contradicted = system.pure_error(accepted).is_some_and(|l| l.p_value.is_some_and(|p| p < REPLICATES));
     // Nor is it that a period which is not steady leaves more toward the ends.
     let steady = || stationarity(system, accepted).is_none_or(|s| s.z <= UNSTEADY);
     let found = test_spread(&system.frame, accepted, seed)

@@ -32,7 +32,8 @@ pub fn has_table(system: &ScalarSystem, h: &Hypothesis) -> bool {
 /// Takes the table in place of an explanation that repeats contradict.
 pub(super) fn in_place_of_laws(system: &ScalarSystem, explained: &mut Explained, options: &Options) {
     let found = &explained.found;
-    let contradicted = |h: &Hypothesis| system.pure_error(h).is_some_and(|l| l.p_value < REPLICATES);
+    let contradicted =
+        |h: &Hypothesis| system.pure_error(h).is_some_and(|l| l.p_value.is_some_and(|p| p < REPLICATES));
     let Some(effect) = index(system).filter(|&e| system.not_observable(e).is_none()) else { return };
     if system.frame.declared != Declared::Axis || explained.exact || !contradicted(found.accepted()) {
         return;

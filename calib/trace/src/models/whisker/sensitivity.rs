@@ -11,9 +11,9 @@ use super::system::WhiskerSystem;
 use super::twin_check::label_nmm;
 use crate::error::TraceError;
 use crate::levels::NO_SENSITIVITY;
+use crate::method::distributions::chi_squared_tail;
 use crate::method::linear::Basis;
 use nalgebra::{DMatrix, DVector};
-use statrs::distribution::{ChiSquared, ContinuousCDF};
 use wcal_core::median::median;
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
 
@@ -101,7 +101,7 @@ fn without_response(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<Stri
     }
     let dof = n as f64 - course.rank() as f64;
     let dead: Vec<String> = (0..2)
-        .filter(|&g| response_p(&y[g..=g], &load, 0, dof) > NO_SENSITIVITY)
+        .filter(|&g| response_p(&y[g..=g], &load, 0, dof).is_some_and(|p| p > NO_SENSITIVITY))
         .map(|g| format!("fbg_{}", g + 1))
         .collect();
     if !dead.is_empty() {
@@ -110,16 +110,16 @@ fn without_response(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<Stri
             "No sensitivity: {names} does not follow the load at any pose: dead, or not on the wire."
         ));
     }
-    (load.len() == 2 && response_p(&y, &load, 1, dof) > NO_SENSITIVITY).then(|| {
+    (load.len() == 2 && response_p(&y, &load, 1, dof).is_some_and(|p| p > NO_SENSITIVITY)).then(|| {
         "The gratings have rank 1: both follow the same direction of the load, so they cannot determine two moments.".to_owned()
     })
 }
 
-/// p-value of the canonical correlations from number `from` on.
-fn response_p(y: &[DVector<f64>], load: &[DVector<f64>], from: usize, dof: f64) -> f64 {
+/// p-value of the canonical correlations from number `from` on; none where it cannot be told.
+fn response_p(y: &[DVector<f64>], load: &[DVector<f64>], from: usize, dof: f64) -> Option<f64> {
     let y = directions(y);
     if y.len() <= from {
-        return 1.0;
+        return Some(1.0);
     }
     let cross = DMatrix::from_fn(y.len(), load.len(), |a, b| y[a].dot(&load[b]));
     let rho = cross.singular_values();
@@ -127,7 +127,7 @@ fn response_p(y: &[DVector<f64>], load: &[DVector<f64>], from: usize, dof: f64) 
     let left: f64 = rho.iter().skip(from).map(|r| (1.0 - r * r).max(1e-300).ln()).sum();
     let statistic = -(dof - (p + q + 1.0) / 2.0) * left;
     let free = (p - from as f64) * (q - from as f64);
-    ChiSquared::new(free.max(1.0)).map_or(0.0, |d| d.sf(statistic.max(0.0)))
+    chi_squared_tail(statistic, free)
 }
 
 /// Orthonormal directions that `columns` span, those that are hardly there left out.

@@ -191,7 +191,7 @@ fn evidence(found: &[RankedHypothesis]) -> Vec<EvidenceRow> {
         degrees_of_freedom: e.parameters,
         log_likelihood_ratio: -0.5 * e.behind,
         p_value: e.p_value,
-        survives: e.survives(),
+        survives: e.is_retained(),
     };
     found.iter().map(row).collect()
 }

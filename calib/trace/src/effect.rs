@@ -168,13 +168,13 @@ pub struct Effect {
     pub has_memory: bool,
     /// Its laws are things that can act at once (periods, columns, time constants), each more than once where it has a shape of its own;
     /// else they describe one thing, and only one of them is true.
-    pub acts_severally: bool,
+    pub superposes: bool,
     /// Ratio of their shapes from which on two of its terms are two things; nearer ones are one that is not steady.
-    pub least_ratio: f64,
+    pub min_shape_ratio: f64,
     /// Each law follows a further column of the session, in their order.
     pub by_column: bool,
     /// It is found reading by reading, by the outlier stage, not by a law.
-    pub in_single_readings: bool,
+    pub is_outlier_process: bool,
 }
 
 impl Effect {
@@ -186,10 +186,10 @@ impl Effect {
             laws,
             refinements: Vec::new(),
             has_memory: false,
-            acts_severally: false,
-            least_ratio: 1.0,
+            superposes: false,
+            min_shape_ratio: 1.0,
             by_column: false,
-            in_single_readings: false,
+            is_outlier_process: false,
         }
     }
 
@@ -245,7 +245,7 @@ pub struct TermKey {
 impl EffectTerm {
     /// Key of the first term of its kind.
     pub fn key(&self, catalogue: &Catalogue) -> TermKey {
-        let law = if catalogue[self.effect].acts_severally { self.law } else { 0 };
+        let law = if catalogue[self.effect].superposes { self.law } else { 0 };
         TermKey { effect: self.effect, law, instance: 0 }
     }
 
@@ -258,12 +258,12 @@ impl EffectTerm {
         let differs = |k: usize| match law.parameters[k].role {
             Role::Shape { grid } => {
                 let (a, b) = (self.values[k], other.values[k]);
-                (a - b).abs() > RESOLVED * grid_gap(grid, a).min(grid_gap(grid, b))
-                    && a.max(b) >= catalogue[self.effect].least_ratio * a.min(b)
+                (a - b).abs() > RAYLEIGH_GAPS * grid_spacing(grid, a).min(grid_spacing(grid, b))
+                    && a.max(b) >= catalogue[self.effect].min_shape_ratio * a.min(b)
             }
             Role::Amplitude { .. } => false,
         };
-        catalogue[self.effect].acts_severally && (0..law.parameters.len()).any(differs)
+        catalogue[self.effect].superposes && (0..law.parameters.len()).any(differs)
     }
 }
 
@@ -280,10 +280,10 @@ pub fn keys(terms: &[EffectTerm], catalogue: &Catalogue) -> Vec<TermKey> {
 }
 
 /// Gaps of the shape's grid from which on two instances are two: for a period one cycle over the range (Rayleigh).
-const RESOLVED: f64 = 1.9;
+const RAYLEIGH_GAPS: f64 = 1.9;
 
 /// Distance from the grid point nearest to `value` to its neighbour: a law changes its shape over about that much.
-pub fn grid_gap(grid: &[f64], value: f64) -> f64 {
+pub fn grid_spacing(grid: &[f64], value: f64) -> f64 {
     let near = grid.iter().copied().min_by(|a, b| (a - value).abs().total_cmp(&(b - value).abs()));
     let gaps = grid.iter().filter_map(|g| near.map(|n| (g - n).abs())).filter(|d| *d > 0.0);
     gaps.fold(f64::INFINITY, f64::min)

@@ -29,7 +29,7 @@ pub trait MeasurementModel: Sync {
     fn catalogue(&self) -> &[Effect];
     /// Catalogue entry of single readings far outside the noise.
     fn outliers(&self) -> Option<usize> {
-        self.catalogue().iter().position(|e| e.in_single_readings)
+        self.catalogue().iter().position(|e| e.is_outlier_process)
     }
     /// What a second witness leaves under `terms`: measured less predicted of observations whose covariance is known and that have no
     /// free coefficients (what cameras saw, beside the wavelengths), whitened to [`MeasurementModel::witness_variance`]. Values of
@@ -38,19 +38,19 @@ pub trait MeasurementModel: Sync {
         Some(DVector::zeros(0))
     }
     /// Reading to which each value of the second witness belongs.
-    fn witness_readings(&self) -> Arc<Vec<usize>> {
+    fn auxiliary_readings(&self) -> Arc<Vec<usize>> {
         Arc::default()
     }
     /// Variance of the second witness's whitened values: that of a typical reading, so that both are weighed alike.
-    fn witness_variance(&self) -> f64 {
+    fn auxiliary_variance(&self) -> f64 {
         1.0
     }
     /// Its groups are repetitions of one task, so that what is left out in turn judges each effect and what is left.
-    fn judged_left_out(&self) -> bool {
+    fn cross_validates_terms(&self) -> bool {
         false
     }
     /// Standard deviation of what all readings share of a parameter and none of them shows (how two clocks are aligned), in its unit.
-    fn shared_sd(&self, _effect: usize, _parameter: &str) -> f64 {
+    fn systematic_sd(&self, _effect: usize, _parameter: &str) -> f64 {
         0.0
     }
     /// Why an effect cannot be seen in this session; none where it can.

@@ -25,7 +25,7 @@ impl Hypothesis {
     }
 
     /// Every parameter lies inside its physical range, every amplitude is there, and no two terms stand for the same.
-    pub fn physical(&self, system: &dyn MeasurementModel) -> bool {
+    pub fn is_physical(&self, system: &dyn MeasurementModel) -> bool {
         let mut slot = 0;
         for t in &self.fit.terms {
             let law = &system.catalogue()[t.effect].law(t.law);
@@ -65,11 +65,11 @@ impl Hypothesis {
     /// p-value of what it lacks of `with`, adjusted by the family that was searched.
     pub fn removal_p(&self, with: &Fit, family: &MinPDistribution) -> f64 {
         let extra = (self.fit.dof - with.dof).max(1.0) as usize;
-        family.adjusted(f_test(self.fit.ssr - with.ssr, self.fit.ssr, self.fit.dof, extra))
+        family.family_wise_p(f_test(self.fit.ssr - with.ssr, self.fit.ssr, self.fit.dof, extra))
     }
 
     /// Whether it may be accepted: physical, and its sum of squares no longer falls.
-    pub fn acceptable(&self, system: &dyn MeasurementModel) -> bool {
-        self.fit.status != Status::NotConverged && self.physical(system)
+    pub fn is_admissible(&self, system: &dyn MeasurementModel) -> bool {
+        self.fit.status != Status::NotConverged && self.is_physical(system)
     }
 }

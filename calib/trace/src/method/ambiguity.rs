@@ -17,7 +17,7 @@ use rand::SeedableRng;
 use rand_distr::{ChiSquared, Distribution, StandardNormal};
 
 /// Tangent space of an explanation; a flagged reading is free in every channel.
-fn space(h: &Hypothesis) -> Basis {
+fn tangent_space(h: &Hypothesis) -> Basis {
     let mut basis = nuisance(&h.fit);
     for direction in h.flagged.iter().flat_map(|&i| h.fit.directions_of(i)) {
         basis.push(&direction);
@@ -26,7 +26,7 @@ fn space(h: &Hypothesis) -> Basis {
 }
 
 /// Coordinates of the vectors of `part` in `whole`, one row each.
-fn within(part: &Basis, whole: &Basis) -> DMatrix<f64> {
+fn project_onto(part: &Basis, whole: &Basis) -> DMatrix<f64> {
     let rows: Vec<_> = part.vectors().iter().map(|v| whole.coordinates(v).transpose()).collect();
     if rows.is_empty() { DMatrix::zeros(0, whole.rank()) } else { DMatrix::from_rows(&rows) }
 }
@@ -36,7 +36,7 @@ pub fn cox_test(best: &Hypothesis, rival: &Hypothesis, variance: f64, draws: usi
     if !(variance > 0.0) || draws == 0 {
         return 1.0;
     }
-    let (of_best, of_rival) = (space(best), space(rival));
+    let (of_best, of_rival) = (tangent_space(best), tangent_space(rival));
     // Prediction of the rival less that of the best, in noises: what the best would still see were the rival true.
     let gap = (best.fit.stacked() - rival.fit.stacked()) / variance.sqrt();
     let seen = of_best.project_off(&gap);
@@ -45,7 +45,7 @@ pub fn cox_test(best: &Hypothesis, rival: &Hypothesis, variance: f64, draws: usi
         whole.push(v);
     }
     whole.push(&seen);
-    let (best_rows, rival_rows) = (within(&of_best, &whole), within(&of_rival, &whole));
+    let (best_rows, rival_rows) = (project_onto(&of_best, &whole), project_onto(&of_rival, &whole));
     let direction = whole.coordinates(&seen);
     let lambda = seen.norm_squared();
     let behind = (rival.fit.ssr - best.fit.ssr) / variance;
@@ -69,7 +69,7 @@ const REFITTED: usize = 7;
 
 /// Chance of each explanation of `level`, the first being `best`, to fall as far behind were it true; what fits better from the best one's values
 /// takes its own place.
-pub fn compared(
+pub fn cox_p_values(
     system: &dyn MeasurementModel,
     best: &Hypothesis,
     level: &mut [Hypothesis],
@@ -102,7 +102,7 @@ fn from_shared_values(
     let shared = |t: &EffectTerm| best.fit.terms.iter().find(|b| (b.effect, b.law) == (t.effect, t.law));
     let terms: Vec<EffectTerm> = h.fit.terms.iter().map(|t| shared(t).unwrap_or(t).clone()).collect();
     let start = (terms != h.fit.terms).then_some(terms)?;
-    refit(system, &[start], h).filter(|nearer| nearer.acceptable(system) && nearer.fit.ssr < h.fit.ssr)
+    refit(system, &[start], h).filter(|nearer| nearer.is_admissible(system) && nearer.fit.ssr < h.fit.ssr)
 }
 
 /// Chance that readings of noncentrality `lambda` (in variances) between two explanations reject the wrong one, the other true.
@@ -138,7 +138,7 @@ mod tests {
             raw_tangents: Vec::new(),
             auxiliary_residual: DVector::zeros(0),
             witness_tangents: Vec::new(),
-            witness_readings: Arc::default(),
+            auxiliary_readings: Arc::default(),
             witness_count: 0,
             ssr: residual.norm_squared(),
             dof: (n - p) as f64,

@@ -38,7 +38,7 @@ fn left_out_squares(system: &dyn MeasurementModel, fit: &Fit) -> Option<BTreeMap
         members.entry(*group).or_default().extend((0..channels).map(|c| c * n + i));
     }
     // What a second witness saw belongs to the group of its reading.
-    for (k, i) in system.witness_readings().iter().enumerate().take(residual.len() - n * channels) {
+    for (k, i) in system.auxiliary_readings().iter().enumerate().take(residual.len() - n * channels) {
         members.entry(system.groups()[*i]).or_default().push(n * channels + k);
     }
     let of_group = |(group, rows): (&u32, &Vec<usize>)| {

@@ -11,7 +11,7 @@
 pub use super::fitted::{Fit, Status};
 use super::linear::stack_with;
 pub use super::noise::Weights;
-use crate::effect::{EffectTerm, Role, grid_gap};
+use crate::effect::{EffectTerm, Role, grid_spacing};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
 use std::cell::{Cell, OnceCell};
@@ -98,7 +98,7 @@ fn step_size(system: &dyn MeasurementModel, term: &EffectTerm, k: usize) -> f64 
         Role::Amplitude { probe } => 0.02 * probe.abs().max(0.1 * term.values[k].abs()),
         Role::Shape { grid } => {
             let plain = 0.01 * term.values[k].abs().max(1e-3 * (p.range[1] - p.range[0]));
-            plain.min(0.02 * grid_gap(grid, term.values[k]))
+            plain.min(0.02 * grid_spacing(grid, term.values[k]))
         }
     }
 }
@@ -252,7 +252,7 @@ pub fn fit(
         })
         .collect();
     let channels = y.ncols() as f64;
-    let seen = system.witness_readings();
+    let seen = system.auxiliary_readings();
     let witness_count = seen.iter().filter(|i| weights.counts(**i)).count();
     let used = here.design.ncols() as f64 * channels + index.len() as f64;
     Some(Fit {
@@ -267,7 +267,7 @@ pub fn fit(
         tangents: tangents.iter().map(|(t, _)| weights.apply(t)).collect(),
         auxiliary_residual: here.auxiliary_residual,
         witness_tangents: tangents.iter().map(|(_, w)| w.clone()).collect(),
-        witness_readings: seen,
+        auxiliary_readings: seen,
         raw_tangents: tangents.into_iter().map(|(t, _)| t).collect(),
         at_bound,
         status,

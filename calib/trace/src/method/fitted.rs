@@ -44,7 +44,7 @@ pub struct Fit {
     /// Tangents of its prediction by each nonlinear parameter, whitened.
     pub witness_tangents: Vec<DVector<f64>>,
     /// Reading of each of its values.
-    pub witness_readings: Arc<Vec<usize>>,
+    pub auxiliary_readings: Arc<Vec<usize>>,
     /// Values of the second witness that count.
     pub witness_count: usize,
     /// Which nonlinear parameters sit at an end of their range.
@@ -105,7 +105,7 @@ impl Fit {
         let (n, size) = (self.residual.nrows(), self.residual.len());
         let own = (0..self.residual.ncols()).map(|c| c * n + i);
         let seen =
-            (0..self.auxiliary_residual.len()).filter(|k| self.witness_readings[*k] == i).map(|k| size + k);
+            (0..self.auxiliary_residual.len()).filter(|k| self.auxiliary_readings[*k] == i).map(|k| size + k);
         let one = |at: usize| {
             let mut v = DVector::zeros(size + self.auxiliary_residual.len());
             v[at] = 1.0;

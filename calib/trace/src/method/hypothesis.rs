@@ -43,7 +43,7 @@ impl Hypothesis {
     }
 
     /// Misfit in units of `variance` plus twice the parameters (Akaike); smaller is better.
-    pub fn criterion(&self, base: &Fit, variance: f64) -> f64 {
+    pub fn aic(&self, base: &Fit, variance: f64) -> f64 {
         let n = self.fit.residual.nrows() as f64;
         let channels = self.fit.residual.ncols() as f64;
         // A flagged reading is a free shift in every channel, chosen among n.

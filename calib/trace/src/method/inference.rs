@@ -48,7 +48,7 @@ pub fn parameters(system: &dyn MeasurementModel, h: &Hypothesis, effect: usize) 
     for term in &fit.terms {
         let law = &system.catalogue()[term.effect].law(term.law);
         for (p, v) in law.parameters.iter().zip(&term.values) {
-            let shared = NORMAL_95 * system.shared_sd(term.effect, p.name);
+            let shared = NORMAL_95 * system.systematic_sd(term.effect, p.name);
             let half = (t * covariance[(slot, slot)].max(0.0).sqrt()).hypot(shared);
             slot += 1;
             if term.effect == effect {
@@ -108,7 +108,12 @@ pub fn cosine(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
 
 /// Cosine between what two explanations explain of their own, without sign; 1 where neither has anything of its own. What both share (effects in
 /// common, whatever both leave unexplained) is projected off first: a large common effect makes any two look alike.
-pub fn likeness(system: &dyn MeasurementModel, base: &Hypothesis, best: &Hypothesis, h: &Hypothesis) -> f64 {
+pub fn signature_cosine(
+    system: &dyn MeasurementModel,
+    base: &Hypothesis,
+    best: &Hypothesis,
+    h: &Hypothesis,
+) -> f64 {
     let whole = explained(base, best);
     let common = common_effects(system, base, best, h);
     let (a, b) = (common.project_off(&whole), common.project_off(&explained(base, h)));
@@ -117,8 +122,8 @@ pub fn likeness(system: &dyn MeasurementModel, base: &Hypothesis, best: &Hypothe
 }
 
 /// For every survivor: is it of the best one's class?
-pub fn in_class(system: &dyn MeasurementModel, found: &SearchResult) -> Vec<bool> {
-    let like = |h| likeness(system, &found.base, &found.best, h);
+pub fn equivalence_class(system: &dyn MeasurementModel, found: &SearchResult) -> Vec<bool> {
+    let like = |h| signature_cosine(system, &found.base, &found.best, h);
     found.survivors.iter().map(|h| like(h) > CLASS_COSINE).collect()
 }
 
@@ -128,7 +133,7 @@ const MEASURED_BEHIND: f64 = 2.0 * LEAD;
 
 /// Whether `h`, which is `behind` the best explanation in the criterion, is not distinguished from it because one of them follows a temperature: that is
 /// measured itself, and the comparison takes columns for exact. Over minutes a room that warms steadily is as good as a clock.
-pub fn not_told(
+pub fn indistinguishable(
     system: &dyn MeasurementModel,
     base: &Hypothesis,
     best: &Hypothesis,
@@ -141,7 +146,7 @@ pub fn not_told(
     };
     measured(best) != measured(h)
         && behind < MEASURED_BEHIND
-        && likeness(system, base, best, h) > MEASURED_COSINE
+        && signature_cosine(system, base, best, h) > MEASURED_COSINE
 }
 
 /// Directions in which the effects that two explanations share move the prediction, off the declared model: columns and tangents of `a`'s

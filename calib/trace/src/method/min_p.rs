@@ -107,13 +107,13 @@ impl MinPDistribution {
     }
 
     /// Single p-value that the family's smallest undercuts with probability `level` under the null.
-    pub fn critical(&self, level: f64) -> f64 {
+    pub fn critical_p(&self, level: f64) -> f64 {
         let k = ((level * self.minima.len() as f64) as usize).min(self.minima.len().saturating_sub(1));
         self.minima.get(k).copied().unwrap_or(level).min(level)
     }
 
     /// Family-wise p-value of a smallest single p; past the draws' resolution by the effective number of tests.
-    pub fn adjusted(&self, p: f64) -> f64 {
+    pub fn family_wise_p(&self, p: f64) -> f64 {
         let draws = self.minima.len();
         if draws == 0 {
             return 1.0;

@@ -14,7 +14,8 @@ use super::fit::Weights;
 use super::hypothesis::Hypothesis;
 use super::min_p::{MinPDistribution, f_test};
 use super::noise::{
-    CORRELATED_PRICE, MeanModel, Misfit, Noise, NoiseInputs, best_misfit, correlated_gain, estimate,
+    CORRELATED_PRICE, MeanModel, Noise, NoiseInputs, RestrictedLikelihood, best_misfit, correlated_gain,
+    estimate,
 };
 use super::omnibus::{CovariateScore, OmnibusTest};
 use crate::levels::{GENERIC, PRICE, RETAIN, RETAIN_BESIDE_CORRELATED};
@@ -53,19 +54,24 @@ impl<'a> NoiseEstimator<'a> {
     }
 
     /// Noise of the residuals of `h`, with further columns where there are some, and how well the model can do under any noise.
-    pub fn noise(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<(Noise, Misfit)> {
+    pub fn noise(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<(Noise, RestrictedLikelihood)> {
         let model = MeanModel::of(&h.fit).with(columns);
         let noise = estimate(&model, &self.inputs, &h.weights, self.correlated_gain, self.seed)?;
         let mut m = best_misfit(&model, &self.inputs, &noise)?;
         // The second witness's covariance is known: its part of -2 log L is its sum of squares.
         let seen = h.fit.witness_count as f64;
-        m.plain += h.fit.auxiliary_residual.norm_squared() / self.system.witness_variance();
+        m.plain += h.fit.auxiliary_residual.norm_squared() / self.system.auxiliary_variance();
         (m.values, m.dof) = (m.values + seen, m.dof + seen);
         Some((noise, m))
     }
 
     /// p-value of `with` against `without` (both with their own noise), judged in `family`.
-    fn p_value(&self, without: &(Noise, Misfit), with: &(Noise, Misfit), family: &MinPDistribution) -> f64 {
+    fn p_value(
+        &self,
+        without: &(Noise, RestrictedLikelihood),
+        with: &(Noise, RestrictedLikelihood),
+        family: &MinPDistribution,
+    ) -> f64 {
         let (a, b) = (&without.1, &with.1);
         // Both sides have had every shared part; a law of the spread is one parameter.
         let law = |n: &Noise| if n.law.is_some() { PRICE } else { 0.0 };
@@ -73,7 +79,7 @@ impl<'a> NoiseEstimator<'a> {
         let extra = (a.dof - b.dof).max(1.0);
         // Sums of squares in units of the better model's.
         let worse = lead.min(MAX_LEAD).exp();
-        family.adjusted(f_test(worse - 1.0, worse, a.dof, extra as usize))
+        family.family_wise_p(f_test(worse - 1.0, worse, a.dof, extra as usize))
     }
 
     /// The effects of `best` that hold against the noise which would stand in their place, judged in `family`.

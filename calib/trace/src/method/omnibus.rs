@@ -78,7 +78,7 @@ impl OmnibusTest {
         let others = self.signatures.iter().filter(|s| !effects.contains(&s.term.effect));
         let smallest =
             others.map(|s| signature_p(s, s.gain(&residual), fit.ssr, fit.dof)).fold(1.0, f64::min);
-        self.p_catalogue = self.family.adjusted(smallest);
+        self.p_catalogue = self.family.family_wise_p(smallest);
     }
 
     /// Whether everything that `fit` leaves is a small part of its misfit.
@@ -134,7 +134,7 @@ fn serial(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> (f64, 
 const AS_WELL: f64 = 0.6;
 
 /// A label (which trajectory) takes up whatever is smooth while it lasts: it is offered only where no continuous covariate does as well.
-fn behind_continuous(scores: &mut [CovariateScore]) {
+fn rank_steps_after_continuous(scores: &mut [CovariateScore]) {
     let is_label = |s: &CovariateScore| s.covariate == "trajectory";
     let Some(label) = scores.iter().position(is_label) else { return };
     let gain = scores[label].gain;
@@ -183,8 +183,8 @@ fn generic(
     }
     // Where two p-values underflow, the larger gain decides.
     scores.sort_by(|a, b| a.p_single.total_cmp(&b.p_single).then(b.gain.total_cmp(&a.gain)));
-    behind_continuous(&mut scores);
-    let p = scores.iter().map(|s| s.p_single).min_by(f64::total_cmp).map_or(1.0, |p| family.adjusted(p));
+    rank_steps_after_continuous(&mut scores);
+    let p = scores.iter().map(|s| s.p_single).min_by(f64::total_cmp).map_or(1.0, |p| family.family_wise_p(p));
     (p, scores, family)
 }
 
@@ -202,7 +202,7 @@ pub fn omnibus_test(
     let family = MinPDistribution::simulate(&refs, fit.dof, options);
     let smallest =
         signatures.iter().map(|a| signature_p(a, a.gain(&residual), fit.ssr, fit.dof)).fold(1.0, f64::min);
-    let p_catalogue = family.adjusted(smallest);
+    let p_catalogue = family.family_wise_p(smallest);
     let (p_covariates, covariates, covariate_family) = generic(system, fit, weights, &residual, options);
     let (p_serial, serial_correlation) = serial(system, fit, weights);
     OmnibusTest {

@@ -6,7 +6,7 @@
 
 use super::fit::{Fit, Weights, fit, linear};
 use super::hypothesis::Hypothesis;
-use super::noise::tails::outlying;
+use super::noise::tails::extreme_values;
 use super::signature::nuisance;
 use crate::effect::EffectTerm;
 use crate::levels::SINGLE_READINGS;
@@ -39,7 +39,7 @@ pub fn standardised(fit: &Fit, weights: &Weights) -> DMatrix<f64> {
 
 /// Last digit of each channel's readings, 0 where they are written finely: a reading that is one digit off is no outlier, however well the others
 /// agree.
-fn digits(system: &dyn MeasurementModel, channels: usize) -> Vec<f64> {
+fn quantisation_step(system: &dyn MeasurementModel, channels: usize) -> Vec<f64> {
     let steps = system.noise_inputs().step;
     (0..channels).map(|c| steps.get(c).copied().flatten().unwrap_or(0.0)).collect()
 }
@@ -63,14 +63,14 @@ pub fn reject_outliers(
     let mut current = start.clone();
     let mut weights = weights.clone();
     let mut flagged: Vec<usize> = (0..n).filter(|&i| all.counts(i) && !weights.counts(i)).collect();
-    let (mut p_value, digit) = (1.0, digits(system, channels));
+    let (mut p_value, digit) = (1.0, quantisation_step(system, channels));
     for _ in 0..ROUNDS {
         let z = standardised(&current, &weights);
         let judged: Vec<f64> = (0..n)
             .filter(|&i| all.counts(i))
             .flat_map(|i| z.row(i).iter().copied().collect::<Vec<_>>())
             .collect();
-        let found = outlying(&judged, most * channels, SINGLE_READINGS);
+        let found = extreme_values(&judged, most * channels, SINGLE_READINGS);
         let next: Vec<usize> = found.as_ref().map_or(Vec::new(), |f| {
             let beyond = |i: usize, c: usize| {
                 z[(i, c)].abs() >= f.beyond && current.raw_residual[(i, c)].abs() > ONE_DIGIT * digit[c]
@@ -88,7 +88,7 @@ pub fn reject_outliers(
         weights = all.masked(|i| !flagged.contains(&i));
         current = fit(system, terms, &weights, 15)?;
     }
-    let singly = !flagged.is_empty() && single(system, &all, &flagged);
+    let singly = !flagged.is_empty() && are_isolated(system, &all, &flagged);
     singly.then_some(Hypothesis { fit: current, weights, flagged, flag_p: p_value })
 }
 
@@ -103,7 +103,7 @@ const MAX_REST: f64 = 0.25;
 const MIN_GROUP: usize = 3;
 
 /// Whether flagged readings stand singly: a whole stretch of them, a whole group, or many at rest, is what the model lacks.
-fn single(system: &dyn MeasurementModel, all: &Weights, flagged: &[usize]) -> bool {
+fn are_isolated(system: &dyn MeasurementModel, all: &Weights, flagged: &[usize]) -> bool {
     let counted: Vec<usize> = (0..all.len()).filter(|&i| all.counts(i)).collect();
     let place = |i: &usize| counted.binary_search(i).unwrap_or(usize::MAX);
     let places: std::collections::BTreeSet<usize> = flagged.iter().map(place).collect();
@@ -147,7 +147,7 @@ pub fn initial_outliers(system: &dyn MeasurementModel, weights: &Weights, seed: 
         |m: &DMatrix<f64>| DMatrix::from_fn(n, m.ncols(), |k, j| m[(rows[k], j)] * weights.of(rows[k]));
     let (x, y) = (scaled(&raw), scaled(system.measured()));
     let channels = y.ncols();
-    let digit = digits(system, channels);
+    let digit = quantisation_step(system, channels);
     // Channels may have noises of different sizes; a reading is as far out as its worst channel.
     let sizes = |subset: &[usize]| -> Vec<f64> {
         let (b, ..) = linear(&x.select_rows(subset), &y.select_rows(subset));

@@ -54,14 +54,14 @@ fn holds(fit: &Fit, columns: std::ops::Range<usize>, share: f64) -> bool {
         })
         .collect();
     let free: Vec<f64> = own.iter().map(|&(j, c)| fit.coefficients[(j, c)]).collect();
-    let Some(rise) = held_rise(fit, &own, &directions, &free, &largest) else { return true };
+    let Some(rise) = rise_under_bound(fit, &own, &directions, &free, &largest) else { return true };
     f_test(rise, fit.ssr + rise, fit.dof + over as f64, over) > RANGE
 }
 
 /// Rise of the misfit where the effect's part is held within `largest` at every reading: a bounded least squares fit, convex.
 ///
 /// None where the solver gives up: nothing is held against the explanation then.
-fn held_rise(
+fn rise_under_bound(
     fit: &Fit,
     own: &[(usize, usize)],
     directions: &[DVector<f64>],

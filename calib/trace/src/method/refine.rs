@@ -18,7 +18,7 @@ pub(super) fn refit(
         let Some(fit) = fit(system, terms, &from.weights, 10) else { continue };
         let next = Hypothesis { fit, ..from.clone() };
         let better = best.as_ref().is_none_or(|b| {
-            let (was, is) = (b.physical(system), next.physical(system));
+            let (was, is) = (b.is_physical(system), next.is_physical(system));
             // A law with more parameters must earn them.
             let price = 2.0 * next.fit.variance();
             let cost = |h: &Hypothesis| h.fit.ssr + price * (h.fit.residual.len() as f64 - h.fit.dof);
@@ -63,7 +63,7 @@ pub(super) fn refine_level(
     }
     if changed {
         let scale = level.iter().map(|h| h.fit.variance()).fold(f64::INFINITY, f64::min);
-        level.sort_by(|a, b| a.criterion(&base.fit, scale).total_cmp(&b.criterion(&base.fit, scale)));
+        level.sort_by(|a, b| a.aic(&base.fit, scale).total_cmp(&b.aic(&base.fit, scale)));
     }
     changed
 }
@@ -88,7 +88,7 @@ fn refine(system: &dyn MeasurementModel, base: &Hypothesis, from: &Hypothesis) -
                 })
                 .collect();
             tried += 1;
-            let Some(to) = refit(system, &starts, from).filter(|h| h.acceptable(system)) else { continue };
+            let Some(to) = refit(system, &starts, from).filter(|h| h.is_admissible(system)) else { continue };
             let extra = (to.parameters(&base.fit) - from.parameters(&base.fit)).max(1.0);
             let p = f_test(from.fit.ssr - to.fit.ssr, from.fit.ssr, from.fit.dof, extra as usize);
             if best.as_ref().is_none_or(|(least, _)| p < *least) {

@@ -1,10 +1,10 @@
 //! From a rejected omnibus test to explanations: at most three effects, smallest set that passes the omnibus test first. One function a stage, in the
 //! order in which `verify` calls them for each size.
 
-use super::ambiguity::compared;
+use super::ambiguity::cox_p_values;
 use super::fit::{Fit, Weights, fit};
 use super::hypothesis::{Gate, Hypothesis, NotIdentified, Rejection};
-use super::inference::not_told;
+use super::inference::indistinguishable;
 use super::min_p::f_test;
 use super::omnibus::{OmnibusTest, omnibus_test};
 use super::options::Options;
@@ -120,7 +120,7 @@ pub fn refit(system: &dyn MeasurementModel, search: &Search, candidates: &Candid
         merge(system, &mut next, more, outliers, &search.base.fit, variance);
     }
     if search.size > 1 {
-        let more = by_subsets(system, &search.base, &search.first_test.signatures, &next, search.size);
+        let more = subset_candidates(system, &search.base, &search.first_test.signatures, &next, search.size);
         merge(system, &mut next, more, outliers, &search.base.fit, variance);
     }
     next
@@ -133,18 +133,18 @@ pub fn select_model(
     mut refitted: Vec<Hypothesis>,
 ) -> bool {
     let outliers = outlier_index(system);
-    let open = refitted.iter().filter(|h| h.physical(system) && !h.acceptable(system));
+    let open = refitted.iter().filter(|h| h.is_physical(system) && !h.is_admissible(system));
     search.rejections.extend(open.map(|h| Rejection {
         effects: names(system, &h.key(system, outliers)),
         gate: Gate::NotConverged,
         why: String::new(),
     }));
     let size = search.given + search.size;
-    refitted.retain(|h| h.acceptable(system) && h.key(system, outliers).len() == size);
-    let (mut physical, refused) = identified(system, refitted);
+    refitted.retain(|h| h.is_admissible(system) && h.key(system, outliers).len() == size);
+    let (mut physical, refused) = split_by_identifiability(system, refitted);
     let base = &search.base.fit;
     let unidentified = |taken: &Hypothesis| {
-        ahead(&refused, taken, base).map(|n| Rejection {
+        best_unidentified_rival(&refused, taken, base).map(|n| Rejection {
             effects: vec![system.catalogue()[n.effect].id.to_owned()],
             gate: Gate::Identifiability,
             why: n.why,
@@ -154,11 +154,11 @@ pub fn select_model(
         search.rejections.extend(unidentified(&search.best));
         return false;
     };
-    physical.sort_by(|a, b| a.criterion(base, scale).total_cmp(&b.criterion(base, scale)));
+    physical.sort_by(|a, b| a.aic(base, scale).total_cmp(&b.aic(base, scale)));
     let candidate = physical[0].clone();
     search.rejections.extend(unidentified(&candidate));
-    let p = step_p(&search.best, &candidate, base, &search.test);
-    if p > CATALOGUE || candidate.criterion(base, scale) >= search.best.criterion(base, scale) {
+    let p = f_to_enter(&search.best, &candidate, base, &search.test);
+    if p > CATALOGUE || candidate.aic(base, scale) >= search.best.aic(base, scale) {
         return false;
     }
     take(system, search, physical);
@@ -171,13 +171,13 @@ pub fn compare_rivals(system: &dyn MeasurementModel, search: &Search) -> SearchR
     let mut refitted = search.refitted.clone();
     let outliers = outlier_index(system);
     let variance = best.fit.variance();
-    let top = best.criterion(&base.fit, variance);
-    let behind = |h: &Hypothesis| h.criterion(&base.fit, variance) - top;
-    let p_values = compared(system, best, &mut refitted, options);
+    let top = best.aic(&base.fit, variance);
+    let behind = |h: &Hypothesis| h.aic(&base.fit, variance) - top;
+    let p_values = cox_p_values(system, best, &mut refitted, options);
     let survivors: Vec<Hypothesis> = refitted
         .iter()
         .zip(&p_values)
-        .filter(|(h, p)| **p >= RIVAL || not_told(system, base, best, h, behind(h)))
+        .filter(|(h, p)| **p >= RIVAL || indistinguishable(system, base, best, h, behind(h)))
         .map(|(h, _)| h.clone())
         .collect();
     let line = |(h, p_value): (&Hypothesis, &f64)| RankedHypothesis {
@@ -208,10 +208,10 @@ fn take(system: &dyn MeasurementModel, search: &mut Search, mut physical: Vec<Hy
         let seed = search.options.seed.wrapping_add((round as u64).wrapping_mul(0x9e37));
         omnibus_test(system, &h.fit, &h.weights, &Options { seed, ..search.options.clone() })
     };
-    physical[0] = settle(system, flag_anew(system, physical[0].clone()));
+    physical[0] = settle(system, reflag_outliers(system, physical[0].clone()));
     let mut left = test(&physical[0], search.size);
     if left.rejected() && refine_level(system, &search.base, &mut physical) {
-        physical[0] = settle(system, flag_anew(system, physical[0].clone()));
+        physical[0] = settle(system, reflag_outliers(system, physical[0].clone()));
         left = test(&physical[0], search.options.largest + search.size);
     }
     (search.best, search.test) = (physical[0].clone(), left);
@@ -278,7 +278,7 @@ fn extensions(
 }
 
 /// Sets of effects that all subsets of the projected linear model put before everything in `next`, refitted.
-fn by_subsets(
+fn subset_candidates(
     system: &dyn MeasurementModel,
     base: &Hypothesis,
     signatures: &[Signature],
@@ -286,9 +286,9 @@ fn by_subsets(
     size: usize,
 ) -> Vec<Hypothesis> {
     const KEPT: usize = 2;
-    let fitting = || next.iter().filter(|h| h.acceptable(system));
+    let fitting = || next.iter().filter(|h| h.is_admissible(system));
     let Some(scale) = fitting().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { return Vec::new() };
-    let top = fitting().map(|h| h.criterion(&base.fit, scale)).fold(f64::INFINITY, f64::min);
+    let top = fitting().map(|h| h.aic(&base.fit, scale)).fold(f64::INFINITY, f64::min);
     let residual = base.fit.stacked();
     let known: Vec<Vec<TermKey>> = next.iter().map(|h| h.key(system, None)).collect();
     best_subsets(system.catalogue(), signatures, &residual, size, scale, KEPT + known.len())
@@ -323,7 +323,7 @@ fn merge(
     for h in more {
         let key = h.key(system, outliers);
         match all.iter_mut().find(|o| o.key(system, outliers) == key) {
-            Some(old) if old.criterion(base, variance) <= h.criterion(base, variance) => {}
+            Some(old) if old.aic(base, variance) <= h.aic(base, variance) => {}
             Some(old) => *old = h,
             None => all.push(h),
         }
@@ -331,14 +331,14 @@ fn merge(
 }
 
 /// p-value of the step from `from` to `to`, adjusted by the family that was searched.
-fn step_p(from: &Hypothesis, to: &Hypothesis, base: &Fit, test: &OmnibusTest) -> f64 {
+fn f_to_enter(from: &Hypothesis, to: &Hypothesis, base: &Fit, test: &OmnibusTest) -> f64 {
     if to.flagged.len() > from.flagged.len() {
         return to.flag_p;
     }
     let extra = to.parameters(base) - from.parameters(base);
     let gain = from.fit.ssr - to.fit.ssr;
     let single = f_test(gain, from.fit.ssr, from.fit.dof, extra.max(1.0) as usize);
-    test.family.adjusted(single)
+    test.family.family_wise_p(single)
 }
 
 /// Names of the laws of an explanation's terms.
@@ -355,7 +355,10 @@ fn names(system: &dyn MeasurementModel, key: &[TermKey]) -> Vec<String> {
 type Refused = (Hypothesis, NotIdentified);
 
 /// Explanations whose every effect the design identifies, and the others.
-fn identified(system: &dyn MeasurementModel, all: Vec<Hypothesis>) -> (Vec<Hypothesis>, Vec<Refused>) {
+fn split_by_identifiability(
+    system: &dyn MeasurementModel,
+    all: Vec<Hypothesis>,
+) -> (Vec<Hypothesis>, Vec<Refused>) {
     let (mut kept, mut refused) = (Vec::new(), Vec::new());
     for h in all {
         match system.not_identified(&h) {
@@ -367,10 +370,10 @@ fn identified(system: &dyn MeasurementModel, all: Vec<Hypothesis>) -> (Vec<Hypot
 }
 
 /// The best of `refused`, where it would have stood in place of `taken`.
-fn ahead(refused: &[Refused], taken: &Hypothesis, base: &Fit) -> Option<NotIdentified> {
+fn best_unidentified_rival(refused: &[Refused], taken: &Hypothesis, base: &Fit) -> Option<NotIdentified> {
     let lead = |h: &Hypothesis| {
         let scale = h.fit.variance().min(taken.fit.variance());
-        taken.criterion(base, scale) - h.criterion(base, scale)
+        taken.aic(base, scale) - h.aic(base, scale)
     };
     let best = refused.iter().max_by(|a, b| lead(&a.0).total_cmp(&lead(&b.0)))?;
     (lead(&best.0) > 0.0).then(|| best.1.clone())
@@ -382,7 +385,7 @@ fn covariate_wins(base: &Hypothesis, test: &OmnibusTest, best: &Hypothesis, vari
     // Periods and steps were scanned: some forty places each.
     let scanned = if matches!(score.shape, "sinusoid" | "step") { 2.0 * 40f64.ln() } else { 2.0 };
     let by_covariate = (base.fit.ssr - score.gain) / variance + 2.0 * score.dimension as f64 + scanned;
-    test.generic() && by_covariate + LEAD < best.criterion(&base.fit, variance)
+    test.generic() && by_covariate + LEAD < best.aic(&base.fit, variance)
 }
 
 /// Readings stand out singly although nothing smooth is left.
@@ -408,7 +411,7 @@ pub fn declared(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> 
 }
 
 /// Flags of a model that has changed: a reading that it explains is taken back.
-fn flag_anew(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
+fn reflag_outliers(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
     if h.flagged.is_empty() {
         return h;
     }

@@ -23,7 +23,7 @@ pub struct RankedHypothesis {
 
 impl RankedHypothesis {
     /// The data do not reject it.
-    pub fn survives(&self) -> bool {
+    pub fn is_retained(&self) -> bool {
         self.p_value >= RIVAL
     }
 }

@@ -195,7 +195,7 @@ pub fn signatures_of_catalogue(
     (0..system.catalogue().len())
         .into_par_iter()
         .filter(|&e| system.not_observable(e).is_none())
-        .filter(|&e| system.catalogue()[e].acts_severally || fit.terms.iter().all(|t| t.effect != e))
+        .filter(|&e| system.catalogue()[e].superposes || fit.terms.iter().all(|t| t.effect != e))
         .flat_map(|e| signatures_of_effect(system, e, fit, weights, nuisance))
         .filter(|s| fit.terms.iter().all(|t| t.beside(&s.term, system.catalogue())))
         .collect()

@@ -26,7 +26,7 @@ pub fn best_subsets(
     variance: f64,
     keep: usize,
 ) -> Vec<Subset> {
-    let chosen = promising(catalogue, signatures, residual);
+    let chosen = sure_screening(catalogue, signatures, residual);
     let columns: Vec<&DVector<f64>> = chosen.iter().flat_map(|&i| &signatures[i].directions).collect();
     let starts: Vec<usize> = chosen
         .iter()
@@ -98,7 +98,7 @@ impl Subset {
 }
 
 /// The best few signatures of everything that a term can stand for; neighbours on a grid of shapes are one.
-fn promising(catalogue: &Catalogue, signatures: &[Signature], residual: &DVector<f64>) -> Vec<usize> {
+fn sure_screening(catalogue: &Catalogue, signatures: &[Signature], residual: &DVector<f64>) -> Vec<usize> {
     let gains: Vec<f64> = signatures.iter().map(|a| a.gain(residual)).collect();
     let mut order: Vec<usize> = (0..signatures.len()).collect();
     order.sort_by(|&a, &b| gains[b].total_cmp(&gains[a]));
@@ -110,7 +110,7 @@ fn promising(catalogue: &Catalogue, signatures: &[Signature], residual: &DVector
             .copied()
             .filter(|&k| signatures[k].term.key(catalogue) == term.key(catalogue))
             .collect();
-        let several = catalogue[term.effect].acts_severally;
+        let several = catalogue[term.effect].superposes;
         let apart = || own.iter().all(|&k| signatures[k].term.beside(term, catalogue));
         if own.len() < OF_A_KEY && (!several || apart()) {
             kept.push(i);
@@ -150,7 +150,7 @@ mod tests {
     /// Effects with a place; the last of four can act more than once.
     fn catalogue() -> Vec<Effect> {
         let place = law("only").shape("place", "1", [0.0, 9.0], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
-        let placed = |k| Effect { acts_severally: k == 3, ..Effect::new("placed", "", vec![place.clone()]) };
+        let placed = |k| Effect { superposes: k == 3, ..Effect::new("placed", "", vec![place.clone()]) };
         (0..4).map(placed).collect()
     }
 

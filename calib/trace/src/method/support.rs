@@ -18,26 +18,26 @@ use nalgebra::DVector;
 const OWN_DIRECTION: f64 = 1e-9;
 
 /// What a model leaves of the readings outside a set, and its rank there.
-struct Deleted {
+struct DeletedFit {
     ssr: f64,
     rank: f64,
 }
 
 /// A fit whose readings can be deleted in sets.
-struct Deletion {
+struct DeletionDiagnostics {
     residual: DVector<f64>,
     basis: super::linear::Basis,
     readings: usize,
     channels: usize,
 }
 
-impl Deletion {
+impl DeletionDiagnostics {
     fn of(fit: &Fit) -> Self {
         let (readings, channels) = fit.residual.shape();
         Self { residual: fit.stacked(), basis: nuisance(fit), readings, channels }
     }
 
-    fn without(&self, set: &[usize]) -> Deleted {
+    fn without(&self, set: &[usize]) -> DeletedFit {
         let own: Vec<usize> =
             (0..self.channels).flat_map(|c| set.iter().map(move |i| c * self.readings + i)).collect();
         let q =
@@ -52,13 +52,13 @@ impl Deletion {
                 rank += 1.0;
             }
         }
-        Deleted { ssr: (self.residual.norm_squared() - fall).max(0.0), rank }
+        DeletedFit { ssr: (self.residual.norm_squared() - fall).max(0.0), rank }
     }
 }
 
 /// The first of `sets` without which a term is no longer supported: `with` it and `without` it fitted on all readings.
-pub fn rests_on(with: &Fit, without: &Fit, sets: &[Vec<usize>]) -> Option<usize> {
-    let (rich, plain) = (Deletion::of(with), Deletion::of(without));
+pub fn influential_set(with: &Fit, without: &Fit, sets: &[Vec<usize>]) -> Option<usize> {
+    let (rich, plain) = (DeletionDiagnostics::of(with), DeletionDiagnostics::of(without));
     let values = with.dof + rich.basis.rank() as f64;
     sets.iter().position(|set| {
         let (a, b) = (rich.without(set), plain.without(set));

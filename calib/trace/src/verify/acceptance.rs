@@ -20,7 +20,7 @@ const FLOOR_DOF: f64 = 8.0;
 #[derive(Debug, Clone, PartialEq)]
 pub enum Unfit {
     /// It cannot be used, or not on its own rows.
-    Useless(String),
+    Unusable(String),
     /// Its error is far above the floor: error, floor.
     FarAboveFloor([f64; 2]),
 }
@@ -30,7 +30,7 @@ impl Unfit {
     pub fn sentence(&self, unit: &str) -> String {
         let with = |v: f64| format!("{} {unit}", readable(v)).trim_end().to_owned();
         match self {
-            Self::Useless(why) => why.clone(),
+            Self::Unusable(why) => why.clone(),
             Self::FarAboveFloor([error, floor]) => format!(
                 "The error of {} on readings that no fit saw is {:.1} times what repeats differ by ({}): the model lacks what acts there.",
                 with(*error),

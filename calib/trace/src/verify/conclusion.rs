@@ -7,7 +7,7 @@ use crate::effect::{EffectTerm, LawRequirement};
 use crate::error::TraceError;
 use crate::levels::REPLICATES;
 use crate::method::hypothesis::{Gate, Hypothesis};
-use crate::method::inference::in_class;
+use crate::method::inference::equivalence_class;
 use crate::method::lack_of_fit::LackOfFit;
 use crate::method::omnibus::{CovariateScore, OmnibusTest};
 use crate::method::search_result::SearchResult;
@@ -187,7 +187,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         // What a generic driver explains better than the catalogue does is named after no effect.
         let covariate_wins = found.covariate_beats_catalogue;
         let something = !explained.exact && !ids(model, &found.best).is_empty() && !covariate_wins;
-        let same_class = in_class(model, found);
+        let same_class = equivalence_class(model, found);
         let names = ids(model, &found.best);
         let rival = |h: &Hypothesis, of_class: bool| {
             other_driver(model, found, h) || (!of_class && ids(model, h) != names)

@@ -99,7 +99,7 @@ fn explained<M: SessionModel>(e: Evidence<M>, mut found: SearchResult) -> Result
         found.first_test.covariates = scores;
         found.covariate_beats_catalogue = true;
     }
-    if model.judged_left_out() {
+    if model.cross_validates_terms() {
         withdraw_below_model_error(&model, &mut found, &options);
     }
     let columns = found.left().and_then(|g| g.covariates.first()).map_or(Vec::new(), |d| d.columns.clone());

@@ -82,10 +82,10 @@ pub fn decide<M: SessionModel>(
         validated;
     let (seed, claims) = (request.search.seed, request.claims.clone());
     let floor = model.floor(&accepted, &noise, explained.found.left().is_some());
-    let mut unfit = model.useless(&accepted).map(Unfit::Useless);
+    let mut unfit = model.unusable_reason(&accepted).map(Unfit::Unusable);
     for witness in witnesses {
         let test = witness::test(*witness, &model, &accepted, &mut explained.tests)?;
-        unfit = unfit.or(test.filter(|t| t.refuted).map(|t| Unfit::Useless(t.sentence)));
+        unfit = unfit.or(test.filter(|t| t.refuted).map(|t| Unfit::Unusable(t.sentence)));
     }
     let unfit = unfit.or_else(|| far_above_floor(&model, &accepted, &left_out.errors, &floor, ABOVE_FLOOR));
     let facts = Facts::of(&model, &explained, &faults);

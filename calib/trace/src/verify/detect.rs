@@ -117,7 +117,7 @@ fn smallest<M: SessionModel>(
     effect: usize,
 ) -> Option<DetectableSize> {
     let sd = fit.variance().sqrt();
-    let critical = test.family.critical(CATALOGUE);
+    let critical = test.family.critical_p(CATALOGUE);
     let laws = &model.catalogue()[effect].laws;
     let signatures = test.signatures.iter().filter(|a| a.term.effect == effect);
     signatures
@@ -130,10 +130,9 @@ fn smallest<M: SessionModel>(
                 None => (laws[law].linear.first()?.1, 1.0),
             };
             let signature = a.projected.first()?.norm();
-            let shared = a
-                .amplitudes
-                .first()
-                .map_or(0.0, |(slot, _)| needed * model.shared_sd(effect, laws[law].parameters[*slot].name));
+            let shared = a.amplitudes.first().map_or(0.0, |(slot, _)| {
+                needed * model.systematic_sd(effect, laws[law].parameters[*slot].name)
+            });
             let readings = fit.residual.len();
             let alone =
                 (!fit.auxiliary_residual.is_empty()).then(|| a.projected[0].rows(0, readings).norm()).map(

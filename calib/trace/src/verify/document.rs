@@ -15,7 +15,7 @@ use wcal_core::verify_document::{FlaggedReading, NoiseDocument, TwinCheck, Verdi
 pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment<M>) -> VerifyDocument {
     let Decision { model, explained, conclusion, floor, .. } = decision;
     let found = &explained.found;
-    let between = model.between_sessions(&conclusion.accepted);
+    let between = model.seating_repeatability(&conclusion.accepted);
     let noise = (!explained.exact).then(|| noise_document(&decision.noise, between, &model.unit()));
     let rivals: Vec<&Hypothesis> = conclusion.rivals.iter().collect();
     let next = (conclusion.verdict == Verdict::Ambiguous && !rivals.is_empty())

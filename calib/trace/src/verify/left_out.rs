@@ -156,13 +156,17 @@ pub(super) fn noise_ratio<M: SessionModel>(model: &M, noise: &Noise, readings: &
 }
 
 /// The explanation that the readings of `weights` alone would choose among `rivals` (tangent models, Akaike's price).
-fn choice<'a>(rivals: &[&'a Hypothesis], found: &SearchResult, weights: &Weights) -> Option<&'a Hypothesis> {
+fn select_in_fold<'a>(
+    rivals: &[&'a Hypothesis],
+    found: &SearchResult,
+    weights: &Weights,
+) -> Option<&'a Hypothesis> {
     let variance = found.best.fit.variance();
     let cost = |h: &Hypothesis| {
         let (n, channels) = (h.fit.residual.nrows(), h.fit.residual.ncols());
         let kept = |v: &DMatrix<f64>, seen: &DVector<f64>| {
             let readings = DMatrix::from_fn(n, channels, |i, c| v[(i, c)] * weights.of(i));
-            let seen = DVector::from_fn(seen.len(), |k, _| seen[k] * weights.of(h.fit.witness_readings[k]));
+            let seen = DVector::from_fn(seen.len(), |k, _| seen[k] * weights.of(h.fit.auxiliary_readings[k]));
             stack_with(&readings, &seen)
         };
         let mut basis = Basis::default();
@@ -176,7 +180,7 @@ fn choice<'a>(rivals: &[&'a Hypothesis], found: &SearchResult, weights: &Weights
             basis.push(&kept(t, w));
         }
         let left = basis.project_off(&kept(&h.fit.residual, &h.fit.auxiliary_residual)).norm_squared();
-        left / variance + (h.criterion(&found.base.fit, variance) - h.fit.ssr / variance)
+        left / variance + (h.aic(&found.base.fit, variance) - h.fit.ssr / variance)
     };
     rivals.iter().map(|h| (cost(h), *h)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, h)| h)
 }
@@ -204,11 +208,11 @@ impl<M: SessionModel> LeaveOut<'_, M> {
         let of_fold = |f: usize| {
             let inside = |i: usize| fold[i] == Some(f);
             let outside: Vec<f64> = (0..fold.len()).map(|i| f64::from(u8::from(!inside(i)))).collect();
-            let h = choice(rivals, self.found, &Weights::independent(outside)).unwrap_or(start);
+            let h = select_in_fold(rivals, self.found, &Weights::independent(outside)).unwrap_or(start);
             // Readings that the accepted model flags are in no fit: before and after stand on the same rows.
             let weights = h.weights.masked(|i| !inside(i) && counts(i));
             let predictions = if by_twin {
-                model.by_outside_twin(&weights)
+                model.predict_by_labels(&weights)
             } else {
                 fit(model, &h.fit.terms, &weights, self.folds.refit_steps).and_then(|refit| {
                     model.predict(&Hypothesis { fit: refit, weights: weights.clone(), ..h.clone() }, &sd)

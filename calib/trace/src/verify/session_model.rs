@@ -187,7 +187,7 @@ pub trait SessionModel: SessionText + Sized {
     /// Folds where nothing is sealed, as the accepted model asks for: what it learned of a place cannot be left out with all readings there.
     fn folds(&self, accepted: &Hypothesis) -> Folds;
     /// Why a model cannot serve as a calibration at all: no sensitivity, or nothing that its own rows could be predicted by.
-    fn useless(&self, _accepted: &Hypothesis) -> Option<String> {
+    fn unusable_reason(&self, _accepted: &Hypothesis) -> Option<String> {
         None
     }
     /// The calibration of `accepted` under its noise, `base` the declared model and `floor_sd` the floor of a reading in the sensor's unit.
@@ -200,7 +200,7 @@ pub trait SessionModel: SessionText + Sized {
         seed: u64,
     ) -> Self::Calibration;
     /// The declared model on the labels of an outside twin, where there are some, fitted with these weights.
-    fn by_outside_twin(&self, _weights: &Weights) -> Option<Self::Predictions> {
+    fn predict_by_labels(&self, _weights: &Weights) -> Option<Self::Predictions> {
         None
     }
     /// Residual records of a reading, one a channel.
@@ -215,7 +215,7 @@ pub trait SessionModel: SessionText + Sized {
         None
     }
     /// How the zero varies from session to session, where several were joined.
-    fn between_sessions(&self, _accepted: &Hypothesis) -> Option<NoisePart> {
+    fn seating_repeatability(&self, _accepted: &Hypothesis) -> Option<NoisePart> {
         None
     }
 }

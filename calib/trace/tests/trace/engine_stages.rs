@@ -59,7 +59,7 @@ fn a_parameter_that_wants_to_leave_its_range_stays_at_the_bound_and_is_no_explan
     assert_eq!(f.terms[0].values[0], 0.0);
     assert!(f.at_bound[0]);
     let h = Hypothesis { fit: f, weights: Weights::equal(READINGS), flagged: Vec::new(), flag_p: 1.0 };
-    assert!(!h.physical(&system));
+    assert!(!h.is_physical(&system));
 }
 
 #[test]
@@ -72,8 +72,8 @@ fn a_fit_that_did_not_converge_is_no_explanation() {
     };
     let (short, whole) = (after(1), after(30));
     assert_eq!((short.fit.status, whole.fit.status), (Status::NotConverged, Status::Converged));
-    assert!(short.physical(&system) && !short.acceptable(&system), "{:?}", short.fit.terms);
-    assert!(whole.acceptable(&system), "{:?}", whole.fit.terms);
+    assert!(short.is_physical(&system) && !short.is_admissible(&system), "{:?}", short.fit.terms);
+    assert!(whole.is_admissible(&system), "{:?}", whole.fit.terms);
 }
 
 /// The search leaves it out and says which it was.
@@ -130,7 +130,7 @@ fn a_linear_effect_beyond_its_share_is_no_explanation() {
         let term = EffectTerm { effect: BEND, law: 0, values: Vec::new() };
         let fit = fit(&system, &[term], &Weights::equal(READINGS), 5).unwrap();
         Hypothesis { fit, weights: Weights::equal(READINGS), flagged: Vec::new(), flag_p: 1.0 }
-            .physical(&system)
+            .is_physical(&system)
     };
     // At the limit itself noise alone carries the estimate beyond it: 1 in 200 is refused (one-sided, level 0.01).
     let kept = (0..200).filter(|&seed| physical(BEND_SHARE, 7000 + seed)).count() as u64;
@@ -204,7 +204,7 @@ fn the_family_holds_its_level_and_the_f_test_its_distribution() {
         let residual = stack(&f.residual);
         let p = |a| wcal_trace::method::min_p::signature_p(a, a.gain(&residual), f.ssr, f.dof);
         let smallest = signatures.iter().map(p).fold(1.0, f64::min);
-        family += u64::from(null.adjusted(smallest) < 0.05);
+        family += u64::from(null.family_wise_p(smallest) < 0.05);
         let bend = signatures.last().unwrap();
         single += u64::from(f_test(bend.gain(&residual), f.ssr, f.dof, 1) < 0.05);
     }
@@ -297,17 +297,18 @@ fn the_search_finds_nothing_one_or_two_effects() {
 /// A richer law of the same effect where the plain one leaves something, and only there.
 #[test]
 fn an_effect_is_refined_where_its_plain_law_leaves_something() {
-    let law_of = |system: &ToySystem| {
+    let fit_variance_function = |system: &ToySystem| {
         let found = search(system, &Weights::equal(READINGS), &Options::default()).unwrap();
         let laws: Vec<usize> = found.best.fit.terms.iter().map(|t| t.law).collect();
         (names(system, &found.best), laws, found.last_test.rejected())
     };
     let two = |seed| ToySystem::draw(seed, |_, x| LINE[1] * HEIGHT * (2.0 * shelf(x, 0.3) + shelf(x, 0.75)));
-    let found: Vec<_> = (0..10).map(|seed| law_of(&two(9000 + seed))).collect();
+    let found: Vec<_> = (0..10).map(|seed| fit_variance_function(&two(9000 + seed))).collect();
     let refined = found.iter().filter(|f| **f == (vec!["shelf"], vec![1], false)).count();
     assert!(refined >= 8, "{refined} of 10: {found:?}");
     // Negative control: one shelf is not refined, but by chance.
-    let alone = (0..20).filter(|&seed| law_of(&shelved(9100 + seed)).1.contains(&1)).count() as u64;
+    let alone =
+        (0..20).filter(|&seed| fit_variance_function(&shelved(9100 + seed)).1.contains(&1)).count() as u64;
     assert!(alone <= most(0.01, 20), "{alone} of 20");
 }
 

@@ -33,7 +33,7 @@ fn catalogue() -> Vec<Effect> {
         Effect { refinements: vec![two], ..effect("shelf", shelf("only")) },
         effect("bend", law("only").column("square", "1").at_most(BEND_SHARE)),
         effect("scale", law("only").amplitude("share", "1", [-0.5, 0.5], 0.02)),
-        Effect { in_single_readings: true, ..effect("outliers", law("only")) },
+        Effect { is_outlier_process: true, ..effect("outliers", law("only")) },
     ]
 }
 

@@ -6,9 +6,9 @@
 //! A part is taken up where it gains more than chance would; what the design cannot tell is "not known", not zero.
 
 use super::inputs::NoiseInputs;
-use super::likelihood::{MeanModel, Misfit, best_of, descend, misfit, standardised};
+use super::likelihood::{MeanModel, RestrictedLikelihood, best_of, misfit, pattern_search, standardised};
 use super::parts::Noise;
-use super::spread_model::{SpreadModel, law_of};
+use super::spread_model::{SpreadModel, fit_variance_function};
 use super::tails::tails;
 use super::whitening::Weights;
 use crate::levels::{NOISE_PART, NORMAL_95, PRICE, gain, gain_at_bound};
@@ -49,20 +49,21 @@ pub fn estimate(
     seed: u64,
 ) -> Option<Noise> {
     let n = inputs.settings.len();
-    let common = common_of(model, inputs, counted);
+    let common = estimate_averaging_floor(model, inputs, counted);
     let known = inputs.own(common);
     let mask: Vec<f64> = (0..n).map(|i| if counted.counts(i) { known[i] } else { 0.0 }).collect();
-    let law = law_of(model, inputs, &Weights::independent(mask.clone()), seed);
+    let law = fit_variance_function(model, inputs, &Weights::independent(mask.clone()), seed);
     let relative = |law: &Option<SpreadModel>| match law {
         Some(l) => mask.iter().zip(l.relative_sd(inputs)).map(|(m, sd)| m / sd).collect(),
         None => mask.clone(),
     };
-    let (mut weights, mut correlated, mut pose) = shared_of(model, inputs, &relative(&law), correlated_gain)?;
+    let (mut weights, mut correlated, mut pose) =
+        estimate_variance_components(model, inputs, &relative(&law), correlated_gain)?;
     let mut law = law;
     if law.is_some() && weights.shared().is_some() {
         // What readings share can look like a law of the spread: it must hold among whitened readings, too.
-        let (plain, c, p) = shared_of(model, inputs, &mask, correlated_gain)?;
-        if plain.shared().is_some() && law_of(model, inputs, &plain, seed).is_none() {
+        let (plain, c, p) = estimate_variance_components(model, inputs, &mask, correlated_gain)?;
+        if plain.shared().is_some() && fit_variance_function(model, inputs, &plain, seed).is_none() {
             (weights, correlated, pose, law) = (plain, c, p, None);
         }
     }
@@ -95,7 +96,7 @@ const COMMON: [f64; 2] = [1e-2, 1e3];
 
 /// The part of the variance that averaging does not lower (restricted likelihood); 0 where all readings are averaged alike, or it is too
 /// small to be told.
-fn common_of(model: &MeanModel, inputs: &NoiseInputs, counted: &Weights) -> f64 {
+fn estimate_averaging_floor(model: &MeanModel, inputs: &NoiseInputs, counted: &Weights) -> f64 {
     if inputs.averaged.is_empty() {
         return 0.0;
     }
@@ -108,7 +109,7 @@ fn common_of(model: &MeanModel, inputs: &NoiseInputs, counted: &Weights) -> f64 
     let starts = [0.1, 0.35, 0.6, 0.85].map(|k| range[0] + (range[1] - range[0]) * k);
     let nearest = starts.into_iter().map(|x| (cost(x.exp()), x)).min_by(|a, b| a.0.total_cmp(&b.0));
     let Some((_, start)) = nearest else { return 0.0 };
-    let (x, least) = descend([start], [1.0], [range[0]], [range[1]], &|v: &[f64; 1]| cost(v[0].exp()));
+    let (x, least) = pattern_search([start], [1.0], [range[0]], [range[1]], &|v: &[f64; 1]| cost(v[0].exp()));
     if cost(0.0) <= least { 0.0 } else { x[0].exp() }
 }
 
@@ -117,7 +118,7 @@ type Parts = (Weights, Option<(NoisePart, f64)>, Option<NoisePart>);
 
 /// Misfit of `model` at the shared parts that suit it best, whether or not chance would give them: how well it can do at all. `noise` gives
 /// the spread and is where nothing suits better.
-pub fn best_misfit(model: &MeanModel, inputs: &NoiseInputs, noise: &Noise) -> Option<Misfit> {
+pub fn best_misfit(model: &MeanModel, inputs: &NoiseInputs, noise: &Noise) -> Option<RestrictedLikelihood> {
     let relative = noise.weights.relative().to_vec();
     let at = |v: &[f64; 3]| {
         let shared = inputs.shared(Some([v[0].exp(), v[1].exp()]), v[2].exp());
@@ -145,12 +146,12 @@ pub fn best_misfit(model: &MeanModel, inputs: &NoiseInputs, noise: &Noise) -> Op
         [ratio[0], tau[0], if can_pose { ratio[0] } else { pose }],
         [ratio[1], tau[1], if can_pose { ratio[1] } else { pose }],
     );
-    let (best, _) = descend(start, [0.5, 0.5, if can_pose { 0.5 } else { 0.0 }], low, high, &cost);
+    let (best, _) = pattern_search(start, [0.5, 0.5, if can_pose { 0.5 } else { 0.0 }], low, high, &cost);
     at(&best).filter(|m| m.plain < plain.plain).or(Some(plain))
 }
 
 /// What readings share, by restricted likelihood, one part after the other.
-fn shared_of(
+fn estimate_variance_components(
     model: &MeanModel,
     inputs: &NoiseInputs,
     relative: &[f64],
@@ -178,7 +179,7 @@ fn shared_of(
     // Pose scatter alone, correlation alone, both.
     let pose_alone = can_pose.then(|| {
         best_of(&[-1.0, 0.0, 1.0, 2.0], |r| {
-            descend([*r], [0.7], [ratio[0]], [ratio[1]], &|v| cost(None, v[0].exp()))
+            pattern_search([*r], [0.7], [ratio[0]], [ratio[1]], &|v| cost(None, v[0].exp()))
         })
     });
     let correlated_alone = tau.map(|tau| {
@@ -189,7 +190,7 @@ fn shared_of(
             .collect();
         let coarse = starts.iter().map(|v| (cost(Some([v[0].exp(), v[1].exp()]), 0.0), *v));
         let start = coarse.min_by(|a, b| a.0.total_cmp(&b.0)).map_or([0.0, tau[0]], |c| c.1);
-        descend(start, [0.5, 0.5], [ratio[0], tau[0]], [ratio[1], tau[1]], &|v| {
+        pattern_search(start, [0.5, 0.5], [ratio[0], tau[0]], [ratio[1], tau[1]], &|v| {
             cost(Some([v[0].exp(), v[1].exp()]), 0.0)
         })
     });
@@ -208,7 +209,8 @@ fn shared_of(
             if found.2 > 0.0 { found.2.ln() } else { -0.7 },
         ];
         let (low, high) = ([ratio[0], tau[0], ratio[0]], [ratio[1], tau[1], ratio[1]]);
-        let both = descend(start, [0.5; 3], low, high, &|v| cost(Some([v[0].exp(), v[1].exp()]), v[2].exp()));
+        let both =
+            pattern_search(start, [0.5; 3], low, high, &|v| cost(Some([v[0].exp(), v[1].exp()]), v[2].exp()));
         let needed = if found.1.is_some() { gain_at_bound(NOISE_PART) } else { correlated_gain };
         if found.0 - both.1 > needed {
             found = (both.1, Some([both.0[0].exp(), both.0[1].exp()]), both.0[2].exp());

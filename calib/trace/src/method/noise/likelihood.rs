@@ -41,7 +41,7 @@ impl<'a> MeanModel<'a> {
 
 /// Misfit of a mean model under given weights.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Misfit {
+pub struct RestrictedLikelihood {
     /// Sum of squares of the whitened residual.
     pub ssr: f64,
     /// Values less parameters.
@@ -58,7 +58,7 @@ pub struct Misfit {
 const RIDGE: f64 = 1e-9;
 
 /// Misfit of `model` with all its coefficients refitted under `weights`; none where they cannot be.
-pub fn misfit(model: &MeanModel, weights: &Weights) -> Option<Misfit> {
+pub fn misfit(model: &MeanModel, weights: &Weights) -> Option<RestrictedLikelihood> {
     let (n, channels) = model.residual.shape();
     let q = model.design.ncols() + model.extra.len();
     let design = DMatrix::from_fn(n, q, |i, j| match j.checked_sub(model.design.ncols()) {
@@ -103,7 +103,7 @@ pub fn misfit(model: &MeanModel, weights: &Weights) -> Option<Misfit> {
         return None;
     }
     let log_sigma = channels as f64 * weights.log_determinant();
-    Some(Misfit {
+    Some(RestrictedLikelihood {
         ssr,
         dof,
         values,
@@ -113,7 +113,7 @@ pub fn misfit(model: &MeanModel, weights: &Weights) -> Option<Misfit> {
 }
 
 /// Lowest value of a function of a few variables by a shrinking star, from `start` with steps `step`.
-pub(super) fn descend<const K: usize>(
+pub(super) fn pattern_search<const K: usize>(
     start: [f64; K],
     step: [f64; K],
     low: [f64; K],

@@ -51,7 +51,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// Fits log sd = a + b z by Fisher scoring; returns b, its standard error and the negative log likelihood.
-fn harvey(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
+fn breusch_pagan_score(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
     let n = residual.len() as f64;
     let z = centred(z);
     let zz = dot(&z, &z);
@@ -75,7 +75,7 @@ fn harvey(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
 
 /// Tests `residual` (of one mean model, equal weights) against the stimulus. `u` is the stimulus in half ranges; `x` as
 /// measured, where a power of it may be the law; `draws` permutations. None with too few readings or a constant stimulus.
-pub fn spread_test(
+pub fn heteroscedasticity_test(
     residual: &[f64],
     x: Option<&[f64]>,
     u: &[f64],
@@ -99,7 +99,7 @@ pub fn spread_test(
             (dot(&z, &size) / scale).abs() >= correlation.abs()
         })
         .count();
-    let (b, se, nll) = harvey(residual, u);
+    let (b, se, nll) = breusch_pagan_score(residual, u);
     let mut out = Spread {
         p_value: (reached as f64 + 1.0) / (draws as f64 + 1.0),
         correlation,
@@ -110,7 +110,7 @@ pub fn spread_test(
     };
     if let Some(x) = x.filter(|x| x.iter().all(|x| *x > 0.0)) {
         let logs: Vec<f64> = x.iter().map(|x| x.ln()).collect();
-        let (b, se, power_nll) = harvey(residual, &logs);
+        let (b, se, power_nll) = breusch_pagan_score(residual, &logs);
         if power_nll < nll {
             out.law = SpreadLaw::Power;
             out.exponent = b;
@@ -146,9 +146,9 @@ mod tests {
         let mut covered = 0;
         for seed in 0..60 {
             let (r, x, u) = simulated(100, 1.0, seed);
-            let s = spread_test(&r, Some(&x), &u, 400, seed).unwrap();
+            let s = heteroscedasticity_test(&r, Some(&x), &u, 400, seed).unwrap();
             assert!(s.p_value < 0.05 && s.correlation > 0.0, "seed {seed}: {}", s.p_value);
-            let (b, se, _) = harvey(&r, &x.iter().map(|x| x.ln()).collect::<Vec<_>>());
+            let (b, se, _) = breusch_pagan_score(&r, &x.iter().map(|x| x.ln()).collect::<Vec<_>>());
             covered += u32::from((b - 1.0).abs() < NORMAL_95 * se);
         }
         assert!(covered >= 52, "claimed intervals covered {covered} of 60");
@@ -159,7 +159,7 @@ mod tests {
         let p: Vec<f64> = (0..300)
             .map(|seed| {
                 let (r, x, u) = simulated(40, 0.0, 1000 + seed);
-                spread_test(&r, Some(&x), &u, 400, seed).unwrap().p_value
+                heteroscedasticity_test(&r, Some(&x), &u, 400, seed).unwrap().p_value
             })
             .collect();
         let low = p.iter().filter(|p| **p < 0.05).count();

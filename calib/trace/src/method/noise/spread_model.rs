@@ -6,7 +6,7 @@
 
 use super::inputs::NoiseInputs;
 use super::likelihood::{MeanModel, misfit, standardised_by_channel};
-use super::spread::{Spread, spread_test};
+use super::spread::{Spread, heteroscedasticity_test};
 use super::whitening::Weights;
 use crate::levels::SPREAD;
 use wcal_core::median::median;
@@ -40,7 +40,7 @@ impl SpreadModel {
 }
 
 /// The covariate that the spread follows, where it follows one beyond chance.
-pub(super) fn law_of(
+pub(super) fn fit_variance_function(
     model: &MeanModel,
     inputs: &NoiseInputs,
     weights: &Weights,
@@ -56,7 +56,7 @@ pub(super) fn law_of(
         let u: Vec<f64> = rows.iter().flat_map(|(i, _)| vec![values[*i]; channels]).collect();
         let z: Vec<f64> = rows.iter().flat_map(|(_, z)| z.clone()).collect();
         // The power law needs a stimulus of its own: here the spread is exponential in the covariate.
-        let Some(spread) = spread_test(&z, None, &u, PERMUTATIONS, seed) else { continue };
+        let Some(spread) = heteroscedasticity_test(&z, None, &u, PERMUTATIONS, seed) else { continue };
         if spread.p_value > SPREAD {
             continue;
         }

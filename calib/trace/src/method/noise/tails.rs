@@ -36,7 +36,7 @@ pub struct Tails {
 }
 
 /// P(|t_nu| > x).
-fn beyond(nu: f64, x: f64) -> f64 {
+fn two_sided_tail(nu: f64, x: f64) -> f64 {
     if nu.is_infinite() {
         2.0 * Normal::standard().sf(x)
     } else {
@@ -63,8 +63,11 @@ fn likelihood(nu: f64, z: &[f64], censored: usize) -> (f64, f64) {
             let inverse = 1.0 / (nu * sigma * sigma);
             -0.5 * (nu + 1.0) * z.iter().map(|v| (v * v * inverse).ln_1p()).sum::<f64>()
         };
-        let tail =
-            if censored == 0 { 0.0 } else { censored as f64 * beyond(nu, last / sigma).max(1e-300).ln() };
+        let tail = if censored == 0 {
+            0.0
+        } else {
+            censored as f64 * two_sided_tail(nu, last / sigma).max(1e-300).ln()
+        };
         body + tail + z.len() as f64 * (log_norm(nu) - sigma.ln())
     };
     // One maximum in the logarithm of the scale: golden section about the median's scale.
@@ -132,7 +135,7 @@ pub struct ExtremeValues {
 }
 
 /// Looks for outlying values among `residuals`, at most `most` of them: from the most downwards, the first number whose p-value is below `level`.
-pub fn outlying(residuals: &[f64], most: usize, level: f64) -> Option<ExtremeValues> {
+pub fn extreme_values(residuals: &[f64], most: usize, level: f64) -> Option<ExtremeValues> {
     let mut sorted: Vec<f64> = residuals.iter().map(|z| z.abs()).collect();
     sorted.sort_by(f64::total_cmp);
     let n = sorted.len();
@@ -146,7 +149,7 @@ pub fn outlying(residuals: &[f64], most: usize, level: f64) -> Option<ExtremeVal
             continue;
         }
         let tails = fit_sorted(&sorted, k);
-        let single = beyond(tails.heaviest, largest / tails.heaviest_scale);
+        let single = two_sided_tail(tails.heaviest, largest / tails.heaviest_scale);
         let p_value = Binomial::new(single.clamp(0.0, 1.0), n as u64).map_or(1.0, |b| b.sf(k as u64 - 1));
         if p_value < level {
             return Some(ExtremeValues { beyond: largest, count: k, p_value: p_value.max(1e-300) });
@@ -171,7 +174,7 @@ mod tests {
 
     /// Share of samples in which something is flagged although nothing was added.
     fn flagged(nu: Option<f64>, n: usize) -> f64 {
-        let hits = (0..300).filter(|s| outlying(&draws(nu, n, *s), 8, 2e-3).is_some()).count();
+        let hits = (0..300).filter(|s| extreme_values(&draws(nu, n, *s), 8, 2e-3).is_some()).count();
         hits as f64 / 300.0
     }
 
@@ -187,7 +190,7 @@ mod tests {
         for (seed, size) in [(1, 40.0), (2, 100.0), (3, 2000.0)] {
             let mut z = draws(None, 72, seed);
             z[17] += size;
-            let found = outlying(&z, 8, 2e-3).unwrap();
+            let found = extreme_values(&z, 8, 2e-3).unwrap();
             assert_eq!(found.count, 1, "{found:?}");
         }
     }

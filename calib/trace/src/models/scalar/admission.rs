@@ -48,7 +48,7 @@ pub(super) fn refusal(
             })
         })
         .or_else(|| constant_response(rows, declared))
-        .or_else(|| mistyped(rows, declared).map(|why| declared.format_text(&why)))
+        .or_else(|| transposed_digits(rows, declared).map(|why| declared.format_text(&why)))
 }
 
 /// The first reading that is no number.
@@ -87,7 +87,7 @@ const MAX_LEVELS: usize = 200;
 
 /// A level all of whose readings contradict the declared law of the others, and agree with it once the decimal point of stimulus or responses is moved.
 /// A single reading between others, and one that contradicts its repeats, is an outlier like any other.
-fn mistyped(rows: &[ScalarRow], declared: Declared) -> Option<String> {
+fn transposed_digits(rows: &[ScalarRow], declared: Declared) -> Option<String> {
     let (degree, axis) = match declared {
         Declared::Polynomial(0) => return None,
         Declared::Polynomial(degree) => (degree, false),

@@ -22,7 +22,7 @@ use crate::method::linear::Basis;
 use crate::method::min_p::{f_test, signature_p};
 use crate::method::search_result::SearchResult;
 use crate::method::signature::Signature;
-use crate::method::support::rests_on;
+use crate::method::support::influential_set;
 use nalgebra::{DMatrix, DVector};
 
 /// Repeats from which cells say something of a law.
@@ -90,7 +90,7 @@ pub fn split(fit: &Fit, weights: &Weights, cells: &[u64]) -> Split {
 }
 
 /// p-value of a fall from `without` to `with` beside what is left; 1 where nothing is gained or nothing left to compare with.
-fn fall(without: Part, with: Part) -> f64 {
+fn extra_sum_of_squares_p(without: Part, with: Part) -> f64 {
     let (gain, extra) = (without.ss - with.ss, without.dof - with.dof);
     if extra < 0.5 || with.dof < 0.5 || gain <= 0.0 {
         return 1.0;
@@ -120,11 +120,11 @@ struct Strata {
 
 impl Strata {
     /// A term gains where it says something of its own: within cells, or for a law of the stimulus between them.
-    fn earns(&self, with: &Fit, without: &Fit, weights: &Weights, by_clock: bool) -> bool {
+    fn explains_between_strata(&self, with: &Fit, without: &Fit, weights: &Weights, by_clock: bool) -> bool {
         let cells = if by_clock { &self.protocol } else { &self.cells };
         let (with, without) = (split(with, weights, cells), split(without, weights, cells));
-        fall(without.within, with.within) < WITHIN_STRATA
-            || (!by_clock && fall(without.between, with.between) < BETWEEN_STRATA)
+        extra_sum_of_squares_p(without.within, with.within) < WITHIN_STRATA
+            || (!by_clock && extra_sum_of_squares_p(without.between, with.between) < BETWEEN_STRATA)
     }
 }
 
@@ -151,7 +151,7 @@ impl ScalarSystem {
 
     /// The first term of `h` that this design does not identify: it gains nothing where it says something of its own, or it rests on one
     /// level or one cycle.
-    pub fn first_not_identified(&self, h: &Hypothesis) -> Option<NotIdentified> {
+    pub fn unidentified_term(&self, h: &Hypothesis) -> Option<NotIdentified> {
         let strata = self.strata(h);
         let levels = self.levels(&h.weights);
         let cycles = self.cycles(&h.weights);
@@ -163,19 +163,19 @@ impl ScalarSystem {
             if let Some(plainer) = self.not_told_from(&terms, term, h) {
                 return why(format!("on this range it cannot be distinguished from {plainer}"));
             }
-            if self.too_little_of_it(&terms, term, h) {
+            if self.spans_too_few_periods(&terms, term, h) {
                 return why("a bend of fewer periods describes the readings as well".to_owned());
             }
             if let Some(strata) = &strata
-                && !strata.earns(&h.fit, &without, &h.weights, by_clock)
+                && !strata.explains_between_strata(&h.fit, &without, &h.weights, by_clock)
             {
                 return why(if by_clock { REPEATS } else { AS_A_TABLE }.to_owned());
             }
-            if let Some(level) = rests_on(&h.fit, &without, &levels) {
+            if let Some(level) = influential_set(&h.fit, &without, &levels) {
                 return why(format!("it rests on one level ({})", self.frame.rows[levels[level][0]].x));
             }
             // A cycle is a stretch of the clock: a law over the clock may live in one.
-            let cycle = rests_on(&h.fit, &without, &cycles).filter(|_| !by_clock)?;
+            let cycle = influential_set(&h.fit, &without, &cycles).filter(|_| !by_clock)?;
             why(format!("it rests on one cycle ({})", self.frame.groups[cycles[cycle][0]]))
         })
     }
@@ -203,7 +203,7 @@ impl ScalarSystem {
 
     /// A shape that is none of the effect describes the readings as well (Akaike, two parameters) in place of `term`, by any of its laws: stimuli in steps of a fixed
     /// number of places make of a slow bend over time a fast wave over the stimulus.
-    fn too_little_of_it(&self, others: &[EffectTerm], term: &EffectTerm, h: &Hypothesis) -> bool {
+    fn spans_too_few_periods(&self, others: &[EffectTerm], term: &EffectTerm, h: &Hypothesis) -> bool {
         let effect = &self.effects()[term.effect];
         let better = |law: usize, shape: f64| {
             let other = EffectTerm { effect: term.effect, law, values: vec![shape] };
@@ -211,7 +211,7 @@ impl ScalarSystem {
             fit(self, &terms, &h.weights, 0).is_some_and(|f| f.ssr < h.fit.ssr + 4.0 * h.fit.variance())
         };
         effect
-            .too_little_of_it
+            .spans_too_few_periods
             .iter()
             .any(|shape| (0..effect.effect.laws.len()).any(|law| better(law, *shape)))
     }
@@ -244,7 +244,7 @@ impl ScalarSystem {
     }
 
     /// What the omnibus test still sees is a law of the clock alone, which the search did not take because cells do not bear it out.
-    pub fn only_a_clock_is_left(&self, found: &SearchResult) -> bool {
+    pub fn is_time_confounded(&self, found: &SearchResult) -> bool {
         let (best, test) = (&found.best, &found.last_test);
         if test.generic() || !repeated(&protocol_keys(&self.frame), best.weights.relative()) {
             return false;
@@ -256,7 +256,7 @@ impl ScalarSystem {
     }
 
     /// What `columns` explain of what `h` leaves says nothing within cells: it repeats with the protocol.
-    pub fn only_between_cells(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> bool {
+    pub fn is_block_effect(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> bool {
         let cells = protocol_keys(&self.frame);
         if !repeated(&cells, h.weights.relative()) {
             return false;
@@ -267,7 +267,9 @@ impl ScalarSystem {
             if j < old.ncols() { old[(i, j)] } else { columns[j - old.ncols()][i] }
         });
         let richer = Fit { raw_design: added, ..h.fit.clone() };
-        fall(split(&h.fit, &h.weights, &cells).within, split(&richer, &h.weights, &cells).within)
-            >= WITHIN_STRATA
+        extra_sum_of_squares_p(
+            split(&h.fit, &h.weights, &cells).within,
+            split(&richer, &h.weights, &cells).within,
+        ) >= WITHIN_STRATA
     }
 }

@@ -11,8 +11,8 @@ use super::predictions::{Fitted, Grouping, folds, follows_neighbours, predict};
 use super::spread_trend::with_spread_of;
 use super::stationarity::{UNSTEADY, stationarity};
 use super::system::ScalarSystem;
-use super::table::{deviations, has_table, in_place_of_laws};
-use super::usable::{inapplicable, insensitive};
+use super::table::{deviations, has_table, prefer_error_table};
+use super::usable::{domain_error, non_invertible_reason};
 use super::{ScalarRow, next};
 use crate::effect::EffectTerm;
 use crate::error::TraceError;
@@ -170,7 +170,7 @@ impl SessionModel for ScalarSystem {
     }
 
     fn complete(&self, explained: &mut Explained, options: &Options) {
-        in_place_of_laws(self, explained, options);
+        prefer_error_table(self, explained, options);
     }
 
     fn noise_effect(&self) -> Option<NamedEffect> {
@@ -197,7 +197,7 @@ impl SessionModel for ScalarSystem {
 
     /// A law of the clock that cells do not bear out is none. A period that wanders leaves its own traces along what it runs over; the reason says that it is not steady.
     fn residual_explained(&self, found: &SearchResult) -> bool {
-        if self.only_a_clock_is_left(found) {
+        if self.is_time_confounded(found) {
             return true;
         }
         stationarity(self, &found.best).is_some_and(|s| s.z > UNSTEADY)
@@ -210,7 +210,7 @@ impl SessionModel for ScalarSystem {
     }
 
     fn repeats_with_protocol(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> bool {
-        self.only_between_cells(h, columns)
+        self.is_block_effect(h, columns)
     }
 
     fn lack_of_fit(&self, h: &Hypothesis) -> Option<(LackOfFit, UnknownEffect)> {
@@ -301,8 +301,8 @@ impl SessionModel for ScalarSystem {
         ScalarModel::of(self, accepted, self.spread(), shared, self.names(), polynomial, lack)
     }
 
-    fn useless(&self, accepted: &Hypothesis) -> Option<String> {
-        insensitive(self, accepted).or_else(|| inapplicable(self, accepted))
+    fn unusable_reason(&self, accepted: &Hypothesis) -> Option<String> {
+        non_invertible_reason(self, accepted).or_else(|| domain_error(self, accepted))
     }
 
     fn records(

@@ -21,7 +21,7 @@ mod usable;
 pub mod verify;
 
 pub use crate::method::lack_of_fit::LackOfFit;
-pub use crate::method::noise::spread::{Spread, SpreadLaw, spread_test};
+pub use crate::method::noise::spread::{Spread, SpreadLaw, heteroscedasticity_test};
 pub use frame::{Declared, Frame, ScalarData, ScalarRow, Scaling};
 pub use model::{ModelError, ScalarModel, ScalarPrediction};
 pub use polynomial::Polynomial;

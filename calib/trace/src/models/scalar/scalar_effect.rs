@@ -17,7 +17,7 @@ pub struct ScalarEffect {
     /// A plainer effect that a law of this one looks like on these readings: it is named only where that one is contradicted.
     pub looks_like: fn(&EffectModel, &Frame) -> Option<&'static str>,
     /// Values of a law's only shape that are none of this effect: where one of them describes the readings better, the effect is not named.
-    pub too_little_of_it: &'static [f64],
+    pub spans_too_few_periods: &'static [f64],
     /// Changes the effective stimulus of every reading, in half ranges; false where the law does not apply.
     pub warp: fn(&Values, &Frame, &mut [f64]) -> bool,
     /// Columns (one value a reading) with free coefficients; none where the law does not apply.
@@ -47,7 +47,7 @@ impl From<Effect> for ScalarEffect {
             degree: None,
             wave_of_stimulus: None,
             looks_like: |_, _| None,
-            too_little_of_it: &[],
+            spans_too_few_periods: &[],
             warp: |_, _, _| true,
             columns: |_, _| Some(Vec::new()),
         }

@@ -5,7 +5,7 @@ use super::stationarity::{UNSTEADY, stationarity};
 use super::system::ScalarSystem;
 use crate::levels::{REPLICATES, SPREAD};
 use crate::method::hypothesis::Hypothesis;
-use crate::method::noise::spread::{SPREAD_REMARK, Spread, spread_test};
+use crate::method::noise::spread::{SPREAD_REMARK, Spread, heteroscedasticity_test};
 use crate::method::signature::nuisance;
 
 /// Permutations of the test of the spread.
@@ -30,8 +30,13 @@ pub(super) fn test_spread(frame: &Frame, h: &Hypothesis, seed: u64) -> Option<Sp
     let residual = standardised(h);
     let pick = |f: &dyn Fn(usize) -> f64| kept.iter().map(|&i| f(i)).collect::<Vec<f64>>();
     let x = pick(&|i| frame.rows[i].x);
-    let mut spread =
-        spread_test(&pick(&|i| residual[i]), Some(&x), &pick(&|i| frame.u[i]), PERMUTATIONS, seed)?;
+    let mut spread = heteroscedasticity_test(
+        &pick(&|i| residual[i]),
+        Some(&x),
+        &pick(&|i| frame.u[i]),
+        PERMUTATIONS,
+        seed,
+    )?;
     // Readings that do not count keep the mean spread.
     let mut relative = vec![1.0; frame.rows.len()];
     for (&i, sd) in kept.iter().zip(&spread.relative_sd) {
@@ -62,7 +67,7 @@ pub(super) fn with_spread_of(
 }
 
 /// A trend of the spread too weak to be called an effect, in words.
-pub(super) fn weak_trend(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> Option<String> {
+pub(super) fn heteroscedasticity_note(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> Option<String> {
     let p = test_spread(&system.frame, h, seed).filter(|s| s.p_value <= SPREAD_REMARK)?.p_value;
     Some(format!(
         "The spread of the readings may change with the stimulus (p = {p:.1e}): too weak to be named."

@@ -235,7 +235,7 @@ impl MeasurementModel for ScalarSystem {
     }
 
     fn not_identified(&self, h: &Hypothesis) -> Option<NotIdentified> {
-        self.first_not_identified(h)
+        self.unidentified_term(h)
     }
 
     fn further_columns(&self) -> &[String] {

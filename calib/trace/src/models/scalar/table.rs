@@ -30,7 +30,7 @@ pub fn has_table(system: &ScalarSystem, h: &Hypothesis) -> bool {
 }
 
 /// Takes the table in place of an explanation that repeats contradict.
-pub(super) fn in_place_of_laws(system: &ScalarSystem, explained: &mut Explained, options: &Options) {
+pub(super) fn prefer_error_table(system: &ScalarSystem, explained: &mut Explained, options: &Options) {
     let found = &explained.found;
     let contradicted =
         |h: &Hypothesis| system.pure_error(h).is_some_and(|l| l.p_value.is_some_and(|p| p < REPLICATES));
@@ -66,9 +66,11 @@ fn table(system: &ScalarSystem, effect: usize, base: &Hypothesis) -> Option<Hypo
     let mut kept = refitted(system, &[of(0)], base)?;
     let common = reversal.map(|r| vec![of(0), r]);
     for terms in common.into_iter().chain([vec![of(1)]]) {
-        kept = refitted(system, &terms, base).filter(|rich| earns(&kept.fit, &rich.fit)).unwrap_or(kept);
+        kept = refitted(system, &terms, base)
+            .filter(|rich| improves_on_laws(&kept.fit, &rich.fit))
+            .unwrap_or(kept);
     }
-    earns(&base.fit, &kept.fit).then_some(kept)
+    improves_on_laws(&base.fit, &kept.fit).then_some(kept)
 }
 
 /// What the table leaves may follow the clock or another column: effects that the omnibus test asks for and that earn their gain in cells.
@@ -95,7 +97,7 @@ fn extended(
         let mut terms = kept.fit.terms.clone();
         terms.push(best.start(&left, law));
         match refitted(system, &terms, base)
-            .filter(|h| h.physical(system) && system.first_not_identified(h).is_none())
+            .filter(|h| h.is_physical(system) && system.unidentified_term(h).is_none())
         {
             Some(more) => kept = more,
             None => break,
@@ -106,7 +108,7 @@ fn extended(
 }
 
 /// F test of a richer model at the level of lack of fit.
-fn earns(plain: &Fit, rich: &Fit) -> bool {
+fn improves_on_laws(plain: &Fit, rich: &Fit) -> bool {
     let extra = plain.dof - rich.dof;
     extra >= 1.0 && f_test(plain.ssr - rich.ssr, plain.ssr, plain.dof, extra as usize) < REPLICATES
 }

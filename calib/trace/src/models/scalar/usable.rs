@@ -13,7 +13,7 @@ use nalgebra::DVector;
 
 /// The response does not depend on the stimulus: F test of every term of the stimulus at once, beside whatever else was fitted. A quadratic
 /// or cubic term that was accepted is one of them, and so is a wave over the stimulus.
-pub(super) fn insensitive(system: &ScalarSystem, h: &Hypothesis) -> Option<String> {
+pub(super) fn non_invertible_reason(system: &ScalarSystem, h: &Hypothesis) -> Option<String> {
     let Declared::Polynomial(degree @ 1..) = system.frame.declared else { return None };
     let fit = &h.fit;
     let column = |j: usize| DVector::from_column_slice(fit.design.column(j).clone_owned().as_slice());
@@ -55,7 +55,7 @@ fn columns_of_stimulus(
 }
 
 /// The model cannot be applied to the rows that it was fitted to.
-pub(super) fn inapplicable(system: &ScalarSystem, h: &Hypothesis) -> Option<String> {
+pub(super) fn domain_error(system: &ScalarSystem, h: &Hypothesis) -> Option<String> {
     let model = ScalarModel::of(system, h, system.spread(), 0.0, system.names(), None, [None; 2]);
     let why = model.predict(&system.frame.rows).err()?;
     Some(format!("The model cannot be applied to its own rows ({why}); no calibration follows from it."))

@@ -4,7 +4,7 @@ use super::admission::{number, thin};
 use super::frame::{Declared, Frame, Names, ScalarData, ScalarRow, Scaling};
 use super::model::ScalarModel;
 use super::polynomial::Polynomial;
-use super::spread_trend::weak_trend;
+use super::spread_trend::heteroscedasticity_note;
 use super::stationarity::{Stationarity, stationarity};
 use super::system::ScalarSystem;
 use crate::error::TraceError;
@@ -96,7 +96,7 @@ fn for_report(session: &str, v: Verification<ScalarSystem>, request: &VerifyRequ
     let system = v.decision.model();
     let (found, accepted) = (&v.decision.explained().found, &v.decision.conclusion().accepted);
     if system.spread().is_none() {
-        let remark = weak_trend(system, accepted, request.search.seed);
+        let remark = heteroscedasticity_note(system, accepted, request.search.seed);
         document.notes.extend(remark.map(|note| system.frame.declared.format_text(&note)));
     }
     let [declared, richer] = system.polynomials(&found.base, accepted);

@@ -12,7 +12,7 @@ use wcal_map::{MapArtefact, MapPredictor};
 /// Only moments are judged: a map has no other prediction.
 pub const QUANTITIES: [Quantity; 1] = [Quantity { key: "moment_rmse_nmm", unit: "N mm" }];
 
-fn judged(group: u32, inferred: [f64; 2], sd: [f64; 2], pose: [f64; 2]) -> JudgedReading {
+fn judged_reading(group: u32, inferred: [f64; 2], sd: [f64; 2], pose: [f64; 2]) -> JudgedReading {
     let error = [0, 1].map(|c| inferred[c] - pose[c]);
     let in_sd: Vec<f64> = (0..2).map(|c| error[c] / sd[c]).collect();
     let inside95 = in_sd.iter().map(|z| z.abs() <= NORMAL_95).collect();
@@ -20,7 +20,7 @@ fn judged(group: u32, inferred: [f64; 2], sd: [f64; 2], pose: [f64; 2]) -> Judge
 }
 
 /// Readings to be judged: all, or those that were sealed.
-fn chosen(system: &WhiskerSystem, only_sealed: bool) -> Vec<usize> {
+fn scored_readings(system: &WhiskerSystem, only_sealed: bool) -> Vec<usize> {
     let [_, scored] = system.held_out();
     let readings = &system.path.readings;
     (0..readings.len()).filter(|&i| if only_sealed { scored[i] } else { !readings[i].rest }).collect()
@@ -39,9 +39,9 @@ pub fn of_model(
     let inferred = model.infer(&system.path, Some(&memory));
     let of = |i: usize| {
         let m = &inferred[i];
-        judged(system.path.readings[i].group, m.moment_nmm, m.sd_nmm, base[i])
+        judged_reading(system.path.readings[i].group, m.moment_nmm, m.sd_nmm, base[i])
     };
-    Some(chosen(system, only_sealed).into_iter().map(of).collect())
+    Some(scored_readings(system, only_sealed).into_iter().map(of).collect())
 }
 
 /// Through a map of moments; none where it or the rod cannot be used.
@@ -50,7 +50,7 @@ pub fn of_map(system: &WhiskerSystem, map: &MapArtefact, only_sealed: bool) -> O
     let (_, base) = system.moments(&[])?;
     let mut of = |i: usize| {
         let p = predictor.predict(system.path.readings[i].shift_pm);
-        judged(system.path.readings[i].group, p.moment_nmm, p.sd_nmm, base[i])
+        judged_reading(system.path.readings[i].group, p.moment_nmm, p.sd_nmm, base[i])
     };
-    Some(chosen(system, only_sealed).into_iter().map(&mut of).collect())
+    Some(scored_readings(system, only_sealed).into_iter().map(&mut of).collect())
 }

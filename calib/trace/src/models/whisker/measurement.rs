@@ -49,8 +49,8 @@ const QUANTITIES: [Quantity; 3] = [
 ];
 
 /// `system` with its pictures weighed by what `fit` leaves of both witnesses; `before` is the system that was fitted.
-fn weighed(system: WhiskerSystem, fit: &Fit, before: &WhiskerSystem) -> WhiskerSystem {
-    let Some(own) = before.pictures().map(Pictures::own_share) else { return system };
+fn reweight_pictures(system: WhiskerSystem, fit: &Fit, before: &WhiskerSystem) -> WhiskerSystem {
+    let Some(own) = before.pictures().map(Pictures::independent_variance_share) else { return system };
     let chi = reduced_chi(fit, before.picture_scale());
     let sd = fit.readings_variance().sqrt();
     // Worse than stated, by whatever: everything counts less. Better: only what scatters can be, and one variance holds for all values.
@@ -135,14 +135,14 @@ impl SessionModel for WhiskerSystem {
             return Some(system);
         }
         let base = declared(&system)?;
-        Some(weighed(system.clone(), &base.fit, &system))
+        Some(reweight_pictures(system.clone(), &base.fit, &system))
     }
 
     /// An effect that was not declared hides how much noise the channels share, and how good the pictures are beside it.
     fn renewed(&self, accepted: &Hypothesis, _seed: u64) -> Option<Self> {
         let fit = &accepted.fit;
-        let again = weighed(self.clone().whitened(fit), fit, self);
-        let own = |s: &Self| s.pictures().map_or(1.0, Pictures::own_share);
+        let again = reweight_pictures(self.clone().whitened(fit), fit, self);
+        let own = |s: &Self| s.pictures().map_or(1.0, Pictures::independent_variance_share);
         let lagged = fit.terms.iter().any(|t| is_lag(self, t.effect));
         let set_s = stage_clock::aligned(&again, accepted, lagged);
         let again = again.with_stage_clock(set_s);
@@ -261,7 +261,7 @@ impl SessionModel for WhiskerSystem {
             .with_averaging(self, noise)
     }
 
-    fn by_outside_twin(&self, weights: &Weights) -> Option<Predictions> {
+    fn predict_by_labels(&self, weights: &Weights) -> Option<Predictions> {
         by_labels(self, &labelled_moments(&self.data, &self.path)?, weights)
     }
 
@@ -293,7 +293,7 @@ impl SessionModel for WhiskerSystem {
         let variance = fit.readings_variance();
         report.pairs = pictures.len();
         report.left_out.extend(pictures.left_out().iter().cloned());
-        report.reduced_chi = pictures.own_share() * reduced_chi(fit, self.picture_scale());
+        report.reduced_chi = pictures.independent_variance_share() * reduced_chi(fit, self.picture_scale());
         report.gain_wavelengths = (base.residual.norm_squared() - fit.residual.norm_squared()) / variance;
         report.gain_pictures = (base.auxiliary_residual.norm_squared()
             - fit.auxiliary_residual.norm_squared())
@@ -309,7 +309,7 @@ impl SessionModel for WhiskerSystem {
         Some(report)
     }
 
-    fn between_sessions(&self, accepted: &Hypothesis) -> Option<NoisePart> {
+    fn seating_repeatability(&self, accepted: &Hypothesis) -> Option<NoisePart> {
         spread_of_zeros(self, &accepted.fit).map(|b| b.session)
     }
 }

@@ -172,7 +172,7 @@ pub(crate) fn typical_samples(readings: &[Reading]) -> Option<f64> {
 pub fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWalkModel> {
     let sizes: Vec<_> =
         rows.iter().map(|r| (r.samples, r.role != Role::Rest, r.dwell_s.is_some_and(|d| d > 0.0))).collect();
-    let variances = or_alike(averaged(&sizes), rows.len());
+    let variances = or_equal(averaged(&sizes), rows.len());
     let mut read: Vec<(f64, f64, f64)> = rows
         .iter()
         .zip(variances)
@@ -183,7 +183,7 @@ pub fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWal
     RandomWalkModel::of(&column(|r| r.0), &column(|r| r.1), &column(|r| r.2))
 }
 
-fn or_alike(variances: Vec<f64>, n: usize) -> Vec<f64> {
+fn or_equal(variances: Vec<f64>, n: usize) -> Vec<f64> {
     if variances.is_empty() { vec![1.0; n] } else { variances }
 }
 
@@ -245,13 +245,13 @@ impl WhiskerPath {
             .collect();
         if let Some(walk) = walk.filter(|_| temperature && time) {
             let (t_s, read): (Vec<f64>, Vec<f64>) = readings.iter().map(|r| (r.t_s, r.rise_degc)).unzip();
-            let variances = or_alike(averaged_readings(&readings), readings.len());
+            let variances = or_equal(averaged_readings(&readings), readings.len());
             for (r, level) in readings.iter_mut().zip(walk.smooth(&t_s, &read, &variances)) {
                 (r.rise_degc, r.temperature_loo_degc) = (level.by_all, level.by_others);
             }
         }
         if time {
-            mark_unsteady(&mut readings);
+            exclude_ramps(&mut readings);
         }
         let loaded = || readings.iter().filter(|r| !r.rest);
         let columns = Columns {
@@ -294,7 +294,7 @@ fn one_motion(a: &Reading, b: &Reading) -> bool {
 
 /// Marks readings on the fly whose speed is not that of their stroke: between two answers of the stage its position is interpolated at one
 /// speed, which is wrong on a ramp and where an answer came late.
-fn mark_unsteady(readings: &mut [Reading]) {
+fn exclude_ramps(readings: &mut [Reading]) {
     let (mut off, mut on_the_fly) = (Vec::new(), 0_usize);
     let mut start = 0;
     while start < readings.len() {
@@ -392,7 +392,7 @@ pub(crate) fn bare_row(k: usize, t_s: f64, shift_pm: [f64; 2]) -> WhiskerRow {
 
 #[cfg(test)]
 mod tests {
-    use super::{Reading, mark_unsteady, places};
+    use super::{Reading, exclude_ramps, places};
 
     fn reading(t_s: f64, x_mm: f64, velocity_mm_s: f64) -> Reading {
         Reading {
@@ -418,7 +418,7 @@ mod tests {
     }
 
     fn marked(mut readings: Vec<Reading>) -> (Vec<usize>, Vec<f64>) {
-        mark_unsteady(&mut readings);
+        exclude_ramps(&mut readings);
         ((0..readings.len()).filter(|&i| readings[i].unsteady).collect(), places(&readings))
     }
 

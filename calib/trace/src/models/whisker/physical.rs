@@ -397,7 +397,7 @@ impl PhysicalModel {
 }
 
 /// Whether nothing is sensed beyond noise.
-pub(super) fn hidden(sensed: &[f64; 2], sd: &[f64; 2]) -> bool {
+pub(super) fn is_below_noise(sensed: &[f64; 2], sd: &[f64; 2]) -> bool {
     sensed[0].hypot(sensed[1]) < 3.0 * sd[0].hypot(sd[1])
 }
 
@@ -434,7 +434,7 @@ pub(super) fn undo_memory(
         let mut change: f64 = 0.0;
         for (node, m) in path.nodes.iter().zip(&at_nodes) {
             let Some(i) = node.reading else { continue };
-            if hidden(&sensed[i], &sds[i]) {
+            if is_below_noise(&sensed[i], &sds[i]) {
                 continue;
             }
             for c in 0..2 {

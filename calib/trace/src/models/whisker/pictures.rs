@@ -36,7 +36,7 @@ pub struct Pictures {
     /// Whitened derivatives by the independent shared errors, values x errors.
     shared: DMatrix<f64>,
     /// Share of the stated own errors that counts.
-    own_share: f64,
+    independent_variance_share: f64,
     /// `M` by the readings that count.
     roots: Kept<Vec<bool>, DMatrix<f64>>,
     /// Pairs that have a row and no place here, and why.
@@ -82,7 +82,7 @@ impl Pictures {
             pairs,
             readings: Arc::new(readings),
             shared: all,
-            own_share: 1.0,
+            independent_variance_share: 1.0,
             roots: Kept::at_most(KEPT_MASKS),
             left_out,
         })
@@ -90,21 +90,21 @@ impl Pictures {
 
     /// The same pairs with `share` of the own errors that they state.
     pub fn with_own_share(&self, share: f64) -> Self {
-        let stretch = self.own_share / share;
+        let stretch = self.independent_variance_share / share;
         let smaller = |p: &Pair| Pair { whitening: &p.whitening * stretch, ..p.clone() };
         Self {
             pairs: self.pairs.iter().map(smaller).collect(),
             readings: self.readings.clone(),
             shared: &self.shared * stretch,
-            own_share: share,
+            independent_variance_share: share,
             roots: Kept::at_most(KEPT_MASKS),
             left_out: self.left_out.clone(),
         }
     }
 
     /// Share of the stated own errors that counts.
-    pub fn own_share(&self) -> f64 {
-        self.own_share
+    pub fn independent_variance_share(&self) -> f64 {
+        self.independent_variance_share
     }
 
     /// Pairs that have a row and no place here, and why.

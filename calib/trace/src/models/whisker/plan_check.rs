@@ -144,7 +144,7 @@ fn of_effect(system: &WhiskerSystem, signatures: &[Signature], effect: usize) ->
         if theirs.is_empty() {
             continue;
         }
-        let best = |a: &Signature| theirs.iter().map(|b| imitated(a, b)).fold(0.0, f64::max);
+        let best = |a: &Signature| theirs.iter().map(|b| signature_overlap(a, b)).fold(0.0, f64::max);
         let each: Vec<f64> = own.iter().map(|a| best(a)).collect();
         let id = system.catalogue()[other].id.to_owned();
         if each.iter().all(|c| *c > CLASS_COSINE) {
@@ -157,7 +157,7 @@ fn of_effect(system: &WhiskerSystem, signatures: &[Signature], effect: usize) ->
 }
 
 /// How much of what `a` does `b` can imitate.
-fn imitated(a: &Signature, b: &Signature) -> f64 {
+fn signature_overlap(a: &Signature, b: &Signature) -> f64 {
     let shared: f64 =
         a.directions.iter().flat_map(|p| b.directions.iter().map(move |q| p.dot(q).powi(2))).sum();
     (shared / a.dimension() as f64).sqrt()

@@ -50,11 +50,11 @@ impl MeasurementModel for WhiskerSystem {
         w.iter().all(|v| v.is_finite()).then_some(w)
     }
 
-    fn witness_readings(&self) -> Arc<Vec<usize>> {
+    fn auxiliary_readings(&self) -> Arc<Vec<usize>> {
         self.pictures.as_ref().map_or_else(Arc::default, |p| p.readings())
     }
 
-    fn witness_variance(&self) -> f64 {
+    fn auxiliary_variance(&self) -> f64 {
         self.picture_scale.powi(2)
     }
 
@@ -78,11 +78,11 @@ impl MeasurementModel for WhiskerSystem {
         covariates(self)
     }
 
-    fn judged_left_out(&self) -> bool {
+    fn cross_validates_terms(&self) -> bool {
         true
     }
 
-    fn shared_sd(&self, effect: usize, parameter: &str) -> f64 {
+    fn systematic_sd(&self, effect: usize, parameter: &str) -> f64 {
         let stamped =
             self.catalogue[effect].needs().contains(&LawRequirement::Motion) && parameter == "lag_s";
         if stamped && self.is_read_in_motion() { CLOCK_SD_S } else { 0.0 }

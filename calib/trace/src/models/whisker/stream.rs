@@ -1,7 +1,7 @@
 //! The accepted effects reading by reading: what [`PhysicalModel::infer`] does for a table, for a stream.
 
 use super::groove_motion::factor;
-use super::physical::{PhysicalModel, VALID_SHARE, hidden};
+use super::physical::{PhysicalModel, VALID_SHARE, is_below_noise};
 use super::uncertainty::VALUE_STEP;
 use super::whisker_effect::{ActiveEffect, Memory};
 use crate::whisker::path::{Columns, Node, Reading, WhiskerPath};
@@ -30,7 +30,7 @@ impl EffectMemories {
         let mut base = sensed;
         // Memory is a small correction: plain fixed-point iteration undoes it, as for a table.
         for _ in 0..40 {
-            if self.memories.is_empty() || hidden(&sensed, &visible) {
+            if self.memories.is_empty() || is_below_noise(&sensed, &visible) {
                 break;
             }
             let m = self.recalled(dt_s, base);

@@ -51,7 +51,7 @@ fn fluid_kg_m3(medium: &str) -> f64 {
     }
 }
 
-fn owned(rows: &[&WhiskerRow]) -> Arc<Vec<WhiskerRow>> {
+fn cloned_rows(rows: &[&WhiskerRow]) -> Arc<Vec<WhiskerRow>> {
     Arc::new(rows.iter().map(|r| (*r).clone()).collect())
 }
 
@@ -98,7 +98,7 @@ impl WhiskerSystem {
         let walk = temperature_walk(&data.rows.iter().collect::<Vec<_>>(), &data.fbg);
         let path = Self::path(data, rows, walk);
         let rod_tables = RodTables::new(&data.whisker, fluid_kg_m3(&data.medium), &path)?;
-        let rows = owned(rows);
+        let rows = cloned_rows(rows);
         let pictures = Pictures::new(&rows, &path, data.shapes.as_ref()).map(Arc::new);
         let blank = Self::assemble(data, path, rows, walk, Arc::new(rod_tables), Matrix2::identity());
         Ok(Self { pictures, ..blank })
@@ -109,7 +109,7 @@ impl WhiskerSystem {
         Self::assemble(
             &self.data,
             Self::path(&self.data, rows, self.walk),
-            owned(rows),
+            cloned_rows(rows),
             self.walk,
             self.rod_tables.clone(),
             self.whitening,
@@ -270,7 +270,7 @@ impl WhiskerSystem {
 
     /// The same readings in the channels of `other`, its pictures weighed alike.
     pub fn with_whitening_of(self, other: &Self) -> Self {
-        let share = other.pictures.as_ref().map_or(1.0, |p| p.own_share());
+        let share = other.pictures.as_ref().map_or(1.0, |p| p.independent_variance_share());
         self.in_channels(other.whitening)
             .with_picture_scale(other.picture_scale)
             .with_own_share(share)

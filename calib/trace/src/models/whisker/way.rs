@@ -47,7 +47,7 @@ pub(super) fn way_between(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option
     }
     let first_s = (v1 * dt_s - way_mm) / change;
     if !(-FITS * dt_s..=(1.0 + FITS) * dt_s).contains(&first_s) {
-        return turned_back(path, xs_mm, k);
+        return motion_with_reversal(path, xs_mm, k);
     }
     let first_s = first_s.clamp(0.0, dt_s);
     // An effect that moves the nodes moves the corner with them.
@@ -60,7 +60,7 @@ pub(super) fn way_between(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option
 }
 
 /// From a settled pose to a stroke that begins on its other side: the stage went there at the stroke's speed and stood until it began.
-fn turned_back(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<Vec<MotionSegment>> {
+fn motion_with_reversal(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<Vec<MotionSegment>> {
     let (a, b) = (&path.nodes[k], &path.nodes[k + 1]);
     if a.moving || !b.moving {
         return None;

@@ -30,7 +30,7 @@ pub fn periodic() -> ScalarEffect {
     };
     ScalarEffect {
         wave_of_stimulus: Some("over-stimulus"),
-        too_little_of_it: &SQUIGGLES,
+        spans_too_few_periods: &SQUIGGLES,
         not_observable: |frame| {
             (frame.scaling.count < MIN_PLACES).then(|| format!("fewer than {MIN_PLACES} readings"))
         },
@@ -50,8 +50,8 @@ pub fn periodic() -> ScalarEffect {
             Some([f64::sin as fn(f64) -> f64, f64::cos].map(|f| phase.iter().map(|p| f(*p)).collect()).into())
         },
         ..Effect {
-            acts_severally: true,
-            least_ratio: 1.5,
+            superposes: true,
+            min_shape_ratio: 1.5,
             ..Effect::new(
                 PERIODIC,
                 "The residual repeats with a fixed period.",

@@ -73,7 +73,7 @@ pub fn temperature() -> ScalarEffect {
             Some(vec![if values.law() == "zero" { rise.clone() } else { sensitivity() }])
         },
         ..Effect {
-            acts_severally: true,
+            superposes: true,
             ..Effect::new(
                 "temperature",
                 "The response moves with the temperature.",
@@ -114,7 +114,7 @@ pub fn step() -> ScalarEffect {
             (!few || frame.new_rows).then_some(vec![column])
         },
         ..Effect {
-            acts_severally: true,
+            superposes: true,
             ..Effect::new(
                 "step",
                 "The zero steps: from one reading on, all responses are shifted by a constant.",
@@ -129,7 +129,7 @@ pub fn step() -> ScalarEffect {
 pub fn outliers() -> ScalarEffect {
     let sentence = "Single readings lie far outside the noise of the others.";
     let found_singly = Effect::new("outliers", sentence, vec![law("single-readings")]);
-    Effect { in_single_readings: true, ..found_singly }.into()
+    Effect { is_outlier_process: true, ..found_singly }.into()
 }
 
 /// The spread of the noise changes with the stimulus: score test of Breusch & Pagan 1979, variance model of Harvey 1976. It has no mean:
@@ -155,7 +155,7 @@ pub fn cross_axis(count: usize) -> ScalarEffect {
     ScalarEffect {
         columns: |values, frame| Some(vec![frame.covariates.get(values.index())?.clone()?]),
         ..Effect {
-            acts_severally: true,
+            superposes: true,
             by_column: true,
             ..Effect::new(
                 "cross-axis",

@@ -125,7 +125,7 @@ pub fn creep() -> ScalarEffect {
         },
         ..Effect {
             has_memory: true,
-            acts_severally: true,
+            superposes: true,
             ..Effect::new(
                 "creep",
                 "The response creeps: it keeps changing after the stimulus has settled.",

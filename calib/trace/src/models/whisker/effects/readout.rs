@@ -74,5 +74,5 @@ pub fn fbg_nonlinearity() -> WhiskerEffect {
 pub fn slip_outliers() -> WhiskerEffect {
     let sentence = "Outlying readings were excluded: the wire possibly left the vertex of the groove.";
     let found_singly = Effect::new("slip-outliers", sentence, vec![law("single-readings")]);
-    Effect { in_single_readings: true, ..found_singly }.into()
+    Effect { is_outlier_process: true, ..found_singly }.into()
 }

@@ -8,7 +8,7 @@ use super::hypothesis::Hypothesis;
 use super::linear::Basis;
 use super::options::Options;
 use super::refine::refit;
-use super::signature::nuisance;
+use super::signature::nuisance_basis;
 use crate::effect::EffectTerm;
 use crate::levels::RIVAL;
 use crate::measurement_model::MeasurementModel;
@@ -18,7 +18,7 @@ use rand_distr::{ChiSquared, Distribution, StandardNormal};
 
 /// Tangent space of an explanation; a flagged reading is free in every channel.
 fn tangent_space(h: &Hypothesis) -> Basis {
-    let mut basis = nuisance(&h.fit);
+    let mut basis = nuisance_basis(&h.fit);
     for direction in h.flagged.iter().flat_map(|&i| h.fit.directions_of(i)) {
         basis.push(&direction);
     }

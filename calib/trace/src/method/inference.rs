@@ -4,7 +4,7 @@ use super::fit::Fit;
 use super::hypothesis::Hypothesis;
 use super::linear::Basis;
 use super::search_result::SearchResult;
-use super::signature::nuisance;
+use super::signature::nuisance_basis;
 use crate::effect::{EffectTerm, LawRequirement, Role};
 use crate::levels::{LEAD, NORMAL_95};
 use crate::measurement_model::MeasurementModel;
@@ -152,7 +152,7 @@ pub fn indistinguishable(
 /// Directions in which the effects that two explanations share move the prediction, off the declared model: columns and tangents of `a`'s
 /// terms that `b` has, too.
 fn common_effects(system: &dyn MeasurementModel, base: &Hypothesis, a: &Hypothesis, b: &Hypothesis) -> Basis {
-    let declared = nuisance(&base.fit);
+    let declared = nuisance_basis(&base.fit);
     let channels = a.fit.residual.ncols();
     let linear = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
     let own: usize = a.fit.terms.iter().map(linear).sum();

@@ -5,8 +5,9 @@ pub mod ambiguity;
 #[cfg(test)]
 mod columns_system_test;
 pub mod covariates;
+pub mod cross_validated_gain;
+pub mod deletion_diagnostics;
 pub mod distributions;
-pub mod earned;
 pub mod fit;
 pub mod fitted;
 pub mod hypothesis;
@@ -26,4 +27,3 @@ pub mod search_result;
 pub mod signature;
 mod socp;
 pub mod subsets;
-pub mod support;

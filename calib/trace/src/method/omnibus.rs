@@ -8,7 +8,7 @@ use super::covariates::{CovariateSignature, signatures_of_covariates};
 use super::fit::{Fit, Weights};
 use super::min_p::{MinPDistribution, signature_p};
 use super::options::Options;
-use super::signature::{Signature, nuisance, signatures_of_catalogue};
+use super::signature::{Signature, nuisance_basis, signatures_of_catalogue};
 use crate::levels::{CATALOGUE, GENERIC, OMNIBUS, REPLICATES, SERIAL};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::DVector;
@@ -151,7 +151,7 @@ fn generic(
     residual: &DVector<f64>,
     options: &Options,
 ) -> (f64, Vec<CovariateScore>, MinPDistribution) {
-    let basis = nuisance(fit);
+    let basis = nuisance_basis(fit);
     let signatures: Vec<CovariateSignature> = signatures_of_covariates(system, fit, weights, &basis)
         .into_iter()
         .filter(|a| (a.signature.dimension() as f64) < 0.5 * fit.dof)
@@ -195,7 +195,7 @@ pub fn omnibus_test(
     weights: &Weights,
     options: &Options,
 ) -> OmnibusTest {
-    let basis = nuisance(fit);
+    let basis = nuisance_basis(fit);
     let signatures = signatures_of_catalogue(system, fit, weights, &basis);
     let residual = fit.stacked();
     let refs: Vec<&Signature> = signatures.iter().collect();

@@ -7,7 +7,7 @@
 use super::fit::{Fit, Weights, fit, linear};
 use super::hypothesis::Hypothesis;
 use super::noise::tails::extreme_values;
-use super::signature::nuisance;
+use super::signature::nuisance_basis;
 use crate::effect::EffectTerm;
 use crate::levels::SINGLE_READINGS;
 use crate::measurement_model::MeasurementModel;
@@ -26,7 +26,7 @@ const ROUNDS: usize = 6;
 pub fn standardised(fit: &Fit, weights: &Weights) -> DMatrix<f64> {
     let (n, channels) = fit.residual.shape();
     let s = fit.variance().sqrt().max(1e-300);
-    let basis = nuisance(fit);
+    let basis = nuisance_basis(fit);
     DMatrix::from_fn(n, channels, |i, c| {
         if weights.counts(i) {
             let leverage: f64 = basis.vectors().iter().map(|q| q[c * n + i] * q[c * n + i]).sum();

@@ -28,14 +28,14 @@ pub(super) fn refit(
             best = Some(next);
         }
     }
-    best.map(|h| settle(system, h))
+    best.map(|h| continue_to_convergence(system, h))
 }
 
 /// Steps more for a fit that was still falling.
 const MORE_STEPS: usize = 40;
 
 /// Goes on with a fit that did not converge.
-pub(super) fn settle(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
+pub(super) fn continue_to_convergence(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
     if h.fit.status != Status::NotConverged {
         return h;
     }

@@ -9,9 +9,9 @@ use super::min_p::f_test;
 use super::omnibus::{OmnibusTest, omnibus_test};
 use super::options::Options;
 use super::outliers::{initial_outliers, reject_outliers};
-use super::refine::{refine_level, refit as refit_starts, settle};
+use super::refine::{continue_to_convergence, refine_level, refit as refit_starts};
 use super::search_result::{RankedHypothesis, SearchResult};
-use super::signature::{Signature, nuisance, signatures_of_catalogue};
+use super::signature::{Signature, nuisance_basis, signatures_of_catalogue};
 use super::subsets::best_subsets;
 use crate::effect::{EffectTerm, TermKey};
 use crate::levels::{CATALOGUE, LEAD, RIVAL};
@@ -49,7 +49,7 @@ impl Search {
     /// Begins with the declared model under these weights; none where that has no fit.
     pub fn new(system: &dyn MeasurementModel, weights: &Weights, options: &Options) -> Option<Self> {
         options.progress.at("testing the declared model", 0.0);
-        let base = declared(system, weights, options.seed)?;
+        let base = fit_declared_model(system, weights, options.seed)?;
         let test = omnibus_test(system, &base.fit, &base.weights, options);
         Some(Self {
             options: options.clone(),
@@ -94,7 +94,7 @@ pub fn project_signatures(system: &dyn MeasurementModel, search: &Search) -> Sig
     let parents = search.level.iter().take(if search.size == 1 { 1 } else { PARENTS }).enumerate();
     let of = |(k, h): (usize, &Hypothesis)| {
         let known = || search.test.signatures.clone();
-        let anew = || signatures_of_catalogue(system, &h.fit, &h.weights, &nuisance(&h.fit));
+        let anew = || signatures_of_catalogue(system, &h.fit, &h.weights, &nuisance_basis(&h.fit));
         (h.clone(), if k == 0 { known() } else { anew() })
     };
     Signatures { parents: parents.map(of).collect() }
@@ -208,10 +208,10 @@ fn take(system: &dyn MeasurementModel, search: &mut Search, mut physical: Vec<Hy
         let seed = search.options.seed.wrapping_add((round as u64).wrapping_mul(0x9e37));
         omnibus_test(system, &h.fit, &h.weights, &Options { seed, ..search.options.clone() })
     };
-    physical[0] = settle(system, reflag_outliers(system, physical[0].clone()));
+    physical[0] = continue_to_convergence(system, reflag_outliers(system, physical[0].clone()));
     let mut left = test(&physical[0], search.size);
     if left.rejected() && refine_level(system, &search.base, &mut physical) {
-        physical[0] = settle(system, reflag_outliers(system, physical[0].clone()));
+        physical[0] = continue_to_convergence(system, reflag_outliers(system, physical[0].clone()));
         left = test(&physical[0], search.options.largest + search.size);
     }
     (search.best, search.test) = (physical[0].clone(), left);
@@ -396,7 +396,7 @@ fn single_readings(system: &dyn MeasurementModel, h: &Hypothesis) -> bool {
 }
 
 /// The declared model, fitted without readings that stand far out of it.
-pub fn declared(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> Option<Hypothesis> {
+pub fn fit_declared_model(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> Option<Hypothesis> {
     let plain = |weights: &Weights| {
         let fit = fit(system, &[], weights, 15)?;
         Some(Hypothesis { fit, weights: weights.clone(), flagged: Vec::new(), flag_p: 1.0 })

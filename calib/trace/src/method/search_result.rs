@@ -53,7 +53,7 @@ pub struct SearchResult {
 
 impl SearchResult {
     /// The omnibus test that says what is left, where something is: on the declared model where a generic driver beats the catalogue.
-    pub fn left(&self) -> Option<&OmnibusTest> {
+    pub fn failed_adequacy_test(&self) -> Option<&OmnibusTest> {
         if self.covariate_beats_catalogue {
             Some(&self.first_test)
         } else {

@@ -25,7 +25,7 @@ pub struct Signature {
 }
 
 /// The nuisance space of a fit: its design in each channel and its tangents.
-pub fn nuisance(fit: &Fit) -> Basis {
+pub fn nuisance_basis(fit: &Fit) -> Basis {
     let mut basis = Basis::default();
     let channels = fit.residual.ncols();
     for column in fit.design.column_iter() {

@@ -58,7 +58,7 @@ pub fn assess<M: SessionModel>(
     rows: &[M::Row],
     look: Option<&Look>,
 ) -> Result<Assessment<M>, TraceError> {
-    let whole = decision.model.whole(rows)?;
+    let whole = decision.model.with_holdout(rows)?;
     let (noise, base) = (&decision.noise, &decision.explained.found.base);
     let accepted = &decision.conclusion.accepted;
     let sd = noise.reading_sd(&whole.noise_inputs());

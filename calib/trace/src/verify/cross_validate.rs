@@ -10,13 +10,13 @@ use super::support::supported;
 use crate::error::TraceError;
 use crate::levels::NEGLIGIBLE;
 use crate::measurement_model::MeasurementModel;
-use crate::method::earned::earned;
+use crate::method::cross_validated_gain::retain_cross_validated;
 use crate::method::hypothesis::{Gate, Hypothesis, Rejection};
 use crate::method::noise::Noise;
 use crate::method::noise_estimator::NoiseEstimator;
 use crate::method::omnibus::omnibus_test;
 use crate::method::options::Options;
-use crate::method::search::declared;
+use crate::method::search::fit_declared_model;
 use crate::method::search_result::SearchResult;
 use wcal_core::verify_document::TwinFault;
 
@@ -83,14 +83,15 @@ fn explained<M: SessionModel>(e: Evidence<M>, mut found: SearchResult) -> Result
     let Evidence { model, options, correlated_gain, plain_test, exact, tests, rejections, .. } = e;
     found.rejections.extend(rejections);
     let judge = NoiseEstimator::new(&model, options.seed).with_correlated_gain(correlated_gain);
-    let base = declared(&model, &independent(&model), options.seed).ok_or(TraceError::NoSolution)?;
+    let base =
+        fit_declared_model(&model, &independent(&model), options.seed).ok_or(TraceError::NoSolution)?;
     let declared_noise = judge.noise(&base, &[]).ok_or(TraceError::NoSolution)?.0;
     if exact {
         let noise = Noise::none(&declared_noise);
         let explained = Explained { found, declared_noise: noise.clone(), noise, exact, tests };
         return Ok((model, explained));
     }
-    let nothing = found.best.fit.terms.is_empty() && found.left().is_none();
+    let nothing = found.best.fit.terms.is_empty() && found.failed_adequacy_test().is_none();
     let correlated = |h: &Hypothesis| judge.noise(h, &[]).is_some_and(|n| n.0.correlated.is_some());
     if nothing
         && correlated(&found.best)
@@ -102,7 +103,10 @@ fn explained<M: SessionModel>(e: Evidence<M>, mut found: SearchResult) -> Result
     if model.cross_validates_terms() {
         withdraw_below_model_error(&model, &mut found, &options);
     }
-    let columns = found.left().and_then(|g| g.covariates.first()).map_or(Vec::new(), |d| d.columns.clone());
+    let columns = found
+        .failed_adequacy_test()
+        .and_then(|g| g.covariates.first())
+        .map_or(Vec::new(), |d| d.columns.clone());
     let noise = judge.noise(&found.best, &columns).or_else(|| judge.noise(&found.best, &[]));
     let noise = noise.map_or_else(|| declared_noise.clone(), |n| n.0);
     let mut explained = Explained { found, noise, declared_noise, exact, tests };
@@ -112,7 +116,7 @@ fn explained<M: SessionModel>(e: Evidence<M>, mut found: SearchResult) -> Result
 
 /// Takes back what does not earn its name on readings that are left out, and calls what is then left by its size.
 fn withdraw_below_model_error(system: &dyn MeasurementModel, found: &mut SearchResult, options: &Options) {
-    let (best, within) = earned(system, &found.best);
+    let (best, within) = retain_cross_validated(system, &found.best);
     let mut small = found.last_test.is_small(&found.best.fit);
     if !within.is_empty() {
         // Where nothing was left beside it, what is left is what was taken back: a finding of chance, or more than that.

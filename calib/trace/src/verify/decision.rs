@@ -81,7 +81,7 @@ pub fn decide<M: SessionModel>(
     let Validated { model, mut explained, faults, accepted, on_request, withdrawn, noise, left_out } =
         validated;
     let (seed, claims) = (request.search.seed, request.claims.clone());
-    let floor = model.floor(&accepted, &noise, explained.found.left().is_some());
+    let floor = model.floor(&accepted, &noise, explained.found.failed_adequacy_test().is_some());
     let mut unfit = model.unusable_reason(&accepted).map(Unfit::Unusable);
     for witness in witnesses {
         let test = witness::test(*witness, &model, &accepted, &mut explained.tests)?;

@@ -9,7 +9,7 @@ use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::CORRELATED_PRICE;
 use crate::method::noise_estimator::{NoiseEstimator, same_whitening};
-use crate::method::search::declared;
+use crate::method::search::fit_declared_model;
 
 /// A residual below this share of the measured values is rounding.
 const ROUNDING: f64 = 1e-13;
@@ -27,7 +27,7 @@ fn is_interpolated(system: &dyn MeasurementModel, base: &Hypothesis) -> bool {
 /// # Errors
 /// Where the declared model has no solution at the readings.
 pub fn fit_baseline<M: SessionModel>(model: M, request: &VerifyRequest) -> Result<Evidence<M>, TraceError> {
-    let fitted = |model: &M| declared(model, &independent(model), request.search.seed);
+    let fitted = |model: &M| fit_declared_model(model, &independent(model), request.search.seed);
     let model = model.prepared(&fitted).ok_or(TraceError::NoSolution)?;
     Evidence::new(model, request.search.clone())
 }

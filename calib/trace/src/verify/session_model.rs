@@ -171,7 +171,7 @@ pub trait SessionModel: SessionText + Sized {
     ///
     /// # Errors
     /// Where the rows cannot be modelled.
-    fn whole(&self, unsealed: &[Self::Row]) -> Result<Self, crate::TraceError>;
+    fn with_holdout(&self, unsealed: &[Self::Row]) -> Result<Self, crate::TraceError>;
     /// Readings that were sealed.
     fn sealed(&self) -> &[bool];
     /// Sealed readings that count in the held-out error (not at rest in the session's own table).

@@ -15,7 +15,7 @@ use wcal_trace::method::min_p::{MinPDistribution, f_test};
 use wcal_trace::method::omnibus::omnibus_test;
 use wcal_trace::method::options::Options;
 use wcal_trace::method::outliers::reject_outliers;
-use wcal_trace::method::signature::{nuisance, signatures_of_effect};
+use wcal_trace::method::signature::{nuisance_basis, signatures_of_effect};
 
 const HEIGHT: f64 = 0.03;
 const PLACE: f64 = 0.55;
@@ -145,7 +145,7 @@ fn columns_that_depend_on_each_other_are_said() {
     let system = plain(3);
     let terms = [EffectTerm { effect: SCALE, law: 0, values: vec![0.1] }];
     let f = fit(&system, &terms, &Weights::equal(READINGS), 5).unwrap();
-    let tangent = nuisance(&base(&system)).project_off(&stack(&f.tangents[0]));
+    let tangent = nuisance_basis(&base(&system)).project_off(&stack(&f.tangents[0]));
     assert!(tangent.norm() < 1e-9 * stack(&f.tangents[0]).norm().max(1e-300));
 }
 
@@ -155,7 +155,7 @@ fn columns_that_depend_on_each_other_are_said() {
 fn what_the_slope_takes_up_has_no_signature() {
     let system = plain(4);
     let f = base(&system);
-    let signatures = |e| signatures_of_effect(&system, e, &f, &Weights::equal(READINGS), &nuisance(&f));
+    let signatures = |e| signatures_of_effect(&system, e, &f, &Weights::equal(READINGS), &nuisance_basis(&f));
     assert!(signatures(SCALE).is_empty(), "absorbed by the slope");
     assert_eq!(signatures(BEND).len(), 1);
     let shelves = signatures(SHELF);
@@ -167,7 +167,8 @@ fn what_the_slope_takes_up_has_no_signature() {
 fn a_one_sided_signature_of_the_wrong_sign_gains_nothing() {
     let system = plain(5);
     let f = base(&system);
-    let signature = &signatures_of_effect(&system, SHELF, &f, &Weights::equal(READINGS), &nuisance(&f))[2];
+    let signature =
+        &signatures_of_effect(&system, SHELF, &f, &Weights::equal(READINGS), &nuisance_basis(&f))[2];
     let along: &DVector<f64> = &signature.projected[0];
     assert!((signature.gain(along) - along.norm_squared()).abs() < 1e-9 * along.norm_squared());
     assert_eq!(signature.gain(&-along), 0.0);
@@ -192,7 +193,7 @@ fn the_family_holds_its_level_and_the_f_test_its_distribution() {
     for seed in 0..trials {
         let system = plain(1000 + seed);
         let f = base(&system);
-        let basis = nuisance(&f);
+        let basis = nuisance_basis(&f);
         let weights = Weights::equal(READINGS);
         let signatures: Vec<_> = [SHELF, BEND]
             .into_iter()

@@ -202,7 +202,7 @@ fn a_holdout_like_the_points_agrees_and_a_moved_one_does_not() {
     let p_of = |moved_pm: f64| {
         let mut rows = rows.clone();
         rows.iter_mut().for_each(|r| r.shift_pm[0] += moved_pm);
-        let whole = system.whole(&rows).unwrap();
+        let whole = system.with_holdout(&rows).unwrap();
         let noise = NoiseEstimator::new(system, 1).noise(&found.base, &[]).unwrap().0;
         holdout_p(&whole, &found.base, &noise, &[]).unwrap()
     };

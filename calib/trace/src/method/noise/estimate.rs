@@ -6,7 +6,9 @@
 //! A part is taken up where it gains more than chance would; what the design cannot tell is "not known", not zero.
 
 use super::inputs::NoiseInputs;
-use super::likelihood::{MeanModel, RestrictedLikelihood, best_of, misfit, pattern_search, standardised};
+use super::likelihood::{
+    MeanModel, RestrictedLikelihood, best_of, pattern_search, restricted_likelihood, standardised,
+};
 use super::parts::Noise;
 use super::spread_model::{SpreadModel, fit_variance_function};
 use super::tails::tails;
@@ -75,7 +77,7 @@ pub fn estimate(
         None => Weights::independent(every),
     };
     let weights = every.masked(|i| counted.counts(i));
-    let m = misfit(model, &weights)?;
+    let m = restricted_likelihood(model, &weights)?;
     let s = (m.ssr / m.dof).sqrt();
     let whitened = standardised(model, &weights, s)?;
     let half = NORMAL_95 / (2.0 * m.dof).sqrt();
@@ -103,7 +105,7 @@ fn estimate_averaging_floor(model: &MeanModel, inputs: &NoiseInputs, counted: &W
     let cost = |common: f64| {
         let mut own = inputs.own(common);
         own.iter_mut().enumerate().filter(|(i, _)| !counted.counts(*i)).for_each(|(_, w)| *w = 0.0);
-        misfit(model, &Weights::independent(own)).map_or(f64::INFINITY, |m| m.restricted)
+        restricted_likelihood(model, &Weights::independent(own)).map_or(f64::INFINITY, |m| m.restricted)
     };
     let range = COMMON.map(f64::ln);
     let starts = [0.1, 0.35, 0.6, 0.85].map(|k| range[0] + (range[1] - range[0]) * k);
@@ -122,9 +124,9 @@ pub fn best_misfit(model: &MeanModel, inputs: &NoiseInputs, noise: &Noise) -> Op
     let relative = noise.weights.relative().to_vec();
     let at = |v: &[f64; 3]| {
         let shared = inputs.shared(Some([v[0].exp(), v[1].exp()]), v[2].exp());
-        misfit(model, &Weights::sharing(relative.clone(), shared))
+        restricted_likelihood(model, &Weights::sharing(relative.clone(), shared))
     };
-    let plain = misfit(model, &noise.weights)?;
+    let plain = restricted_likelihood(model, &noise.weights)?;
     let independent = Weights::independent(relative.clone());
     let can_pose = inputs.held_repeats(&independent) >= MIN_HELD_REPEATS;
     let clock = inputs.clock.as_ref().filter(|_| independent.active() >= MIN_CORRELATED);
@@ -161,7 +163,7 @@ fn estimate_variance_components(
         Weights::sharing(relative.to_vec(), inputs.shared(correlated, pose))
     };
     let cost = |correlated: Option<[f64; 2]>, pose: f64| {
-        misfit(model, &at(correlated, pose)).map_or(f64::INFINITY, |m| m.restricted)
+        restricted_likelihood(model, &at(correlated, pose)).map_or(f64::INFINITY, |m| m.restricted)
     };
     let plain = cost(None, 0.0);
     if !plain.is_finite() {
@@ -218,7 +220,7 @@ fn estimate_variance_components(
     }
     let (_, correlated, pose) = found;
     let sd_at = |correlated: Option<[f64; 2]>, pose: f64| {
-        misfit(model, &at(correlated, pose)).map_or(f64::NAN, |m| (m.ssr / m.dof).sqrt())
+        restricted_likelihood(model, &at(correlated, pose)).map_or(f64::NAN, |m| (m.ssr / m.dof).sqrt())
     };
     let s = sd_at(correlated, pose);
     // Profile likelihood: where -2 log L has risen by what one parameter gains by chance.

@@ -58,7 +58,7 @@ pub struct RestrictedLikelihood {
 const RIDGE: f64 = 1e-9;
 
 /// Misfit of `model` with all its coefficients refitted under `weights`; none where they cannot be.
-pub fn misfit(model: &MeanModel, weights: &Weights) -> Option<RestrictedLikelihood> {
+pub fn restricted_likelihood(model: &MeanModel, weights: &Weights) -> Option<RestrictedLikelihood> {
     let (n, channels) = model.residual.shape();
     let q = model.design.ncols() + model.extra.len();
     let design = DMatrix::from_fn(n, q, |i, j| match j.checked_sub(model.design.ncols()) {

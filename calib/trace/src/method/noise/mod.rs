@@ -11,7 +11,7 @@ mod whitening;
 
 pub use estimate::{CORRELATED_PRICE, MIN_HELD_REPEATS, best_misfit, correlated_gain, estimate};
 pub use inputs::NoiseInputs;
-pub use likelihood::{MeanModel, RestrictedLikelihood, misfit};
+pub use likelihood::{MeanModel, RestrictedLikelihood, restricted_likelihood};
 pub use parts::Noise;
 pub use spread_model::SpreadModel;
 pub use whitening::{SharedNoise, Weights};

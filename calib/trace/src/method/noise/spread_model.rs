@@ -5,7 +5,7 @@
 //! ```
 
 use super::inputs::NoiseInputs;
-use super::likelihood::{MeanModel, misfit, standardised_by_channel};
+use super::likelihood::{MeanModel, restricted_likelihood, standardised_by_channel};
 use super::spread::{Spread, heteroscedasticity_test};
 use super::whitening::Weights;
 use crate::levels::SPREAD;
@@ -67,7 +67,7 @@ pub(super) fn fit_variance_function(
         let own = law.relative_sd(inputs);
         let relative =
             (0..values.len()).map(|i| if weights.counts(i) { weights.of(i) / own[i] } else { 0.0 });
-        let cost = misfit(model, &Weights::independent(relative.collect()))?.restricted;
+        let cost = restricted_likelihood(model, &Weights::independent(relative.collect()))?.restricted;
         if best.as_ref().is_none_or(|b| cost < b.0) {
             best = Some((cost, law));
         }

@@ -15,6 +15,7 @@ use crate::effect::{EffectTerm, LawRequirement};
 use crate::levels::{BETWEEN_STRATA, WITHIN_STRATA};
 use crate::measurement_model::MeasurementModel;
 use crate::method::admissible::REFIT_STEPS;
+use crate::method::deletion_diagnostics::influential_set;
 use crate::method::distributions::f_tail;
 use crate::method::fit::{Fit, Weights, fit};
 use crate::method::hypothesis::{Hypothesis, NotIdentified};
@@ -22,7 +23,6 @@ use crate::method::linear::Basis;
 use crate::method::min_p::{f_test, signature_p};
 use crate::method::search_result::SearchResult;
 use crate::method::signature::Signature;
-use crate::method::support::influential_set;
 use nalgebra::{DMatrix, DVector};
 
 /// Repeats from which cells say something of a law.

@@ -244,7 +244,7 @@ impl SessionModel for ScalarSystem {
         next::next_measurement(self, best, rivals)
     }
 
-    fn whole(&self, unsealed: &[ScalarRow]) -> Result<Self, TraceError> {
+    fn with_holdout(&self, unsealed: &[ScalarRow]) -> Result<Self, TraceError> {
         Ok(self.with_unsealed(unsealed))
     }
 

@@ -6,14 +6,14 @@ use super::system::ScalarSystem;
 use crate::levels::{REPLICATES, SPREAD};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::spread::{SPREAD_REMARK, Spread, heteroscedasticity_test};
-use crate::method::signature::nuisance;
+use crate::method::signature::nuisance_basis;
 
 /// Permutations of the test of the spread.
 const PERMUTATIONS: usize = 4999;
 
 /// Residuals of a fit, each divided by the share of its variance that the fit leaves; unweighted.
 fn standardised(h: &Hypothesis) -> Vec<f64> {
-    let basis = nuisance(&h.fit);
+    let basis = nuisance_basis(&h.fit);
     (0..h.fit.residual.nrows())
         .map(|i| {
             let leverage: f64 = basis.vectors().iter().map(|q| q[i] * q[i]).sum();

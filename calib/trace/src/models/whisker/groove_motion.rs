@@ -11,7 +11,7 @@
 use super::physical::PhysicalModel;
 use super::rod_parameters::RodParameters;
 use super::rod_tables::rod_of;
-use super::system::{AIR_KG_M3, WhiskerSystem, driven};
+use super::system::{AIR_KG_M3, WhiskerSystem, effective_poses};
 use super::whisker_effect::{ActiveEffect, Observers};
 use crate::whisker::path::WhiskerPath;
 use nalgebra::{DMatrix, Matrix2, Vector3};
@@ -117,7 +117,7 @@ struct Mechanics {
 type RodOf<'a> = &'a dyn Fn(&RodParameters) -> Option<Rod>;
 
 fn mechanics(path: &WhiskerPath, rod_of: RodOf<'_>, model: &PhysicalModel) -> Option<Mechanics> {
-    let (xs_mm, rod) = driven(path, &model.terms(), Observers::Cameras, model.stage_clock_s);
+    let (xs_mm, rod) = effective_poses(path, &model.terms(), Observers::Cameras, model.stage_clock_s);
     let wire = AcceptedWire {
         rod: rod_of(&rod)?,
         friction: rod.friction,

@@ -192,7 +192,7 @@ impl SessionModel for WhiskerSystem {
         next::next_measurement(self, best, nearest, names)
     }
 
-    fn whole(&self, unsealed: &[WhiskerRow]) -> Result<Self, TraceError> {
+    fn with_holdout(&self, unsealed: &[WhiskerRow]) -> Result<Self, TraceError> {
         let rows: Vec<&WhiskerRow> = self.data.rows.iter().chain(unsealed).collect();
         Ok(Self::new(&self.data, &rows)?.with_whitening_of(self))
     }

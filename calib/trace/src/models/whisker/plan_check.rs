@@ -14,7 +14,7 @@ use crate::error::TraceError;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Weights, fit};
 use crate::method::inference::CLASS_COSINE;
-use crate::method::signature::{Signature, nuisance, signatures_of_catalogue};
+use crate::method::signature::{Signature, nuisance_basis, signatures_of_catalogue};
 use schemars::JsonSchema;
 use serde::Serialize;
 use wcal_core::WhiskerData;
@@ -107,7 +107,7 @@ fn planned(data: &WhiskerData) -> Result<Vec<PlannedEffect>, TraceError> {
     let system = WhiskerSystem::new(&made, &rows)?;
     let weights = Weights::equal(system.path.readings.len());
     let base = fit(&system, &[], &weights, 1).ok_or_else(no_solution)?;
-    let signatures = signatures_of_catalogue(&system, &base, &weights, &nuisance(&base));
+    let signatures = signatures_of_catalogue(&system, &base, &weights, &nuisance_basis(&base));
     Ok((0..system.catalogue().len()).map(|e| of_effect(&system, &signatures, e)).collect())
 }
 

@@ -47,7 +47,7 @@ pub fn predict(
     let inferred = model.infer_under(&system.path, Some(&memory), noise_sd_pm);
     let mut contact = vec![None; base.len()];
     if let Some(pictures) = system.pictures() {
-        for ((i, _, shown), predicted) in pictures.each().zip(system.seen(terms)?) {
+        for ((i, _, shown), predicted) in pictures.each().zip(system.predict_pictures(terms)?) {
             contact[i] = Some((shown.groove_mm - predicted.groove_mm).norm());
         }
     }

@@ -45,7 +45,7 @@ impl MeasurementModel for WhiskerSystem {
 
     fn auxiliary_residual(&self, terms: &[EffectTerm], weights: &Weights) -> Option<DVector<f64>> {
         let Some(pictures) = &self.pictures else { return Some(DVector::zeros(0)) };
-        let seen = self.seen(terms)?;
+        let seen = self.predict_pictures(terms)?;
         let w = pictures.whitened(&seen, |i| weights.counts(i)) * self.picture_scale;
         w.iter().all(|v| v.is_finite()).then_some(w)
     }

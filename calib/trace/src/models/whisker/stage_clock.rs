@@ -10,7 +10,7 @@ use crate::measurement_model::MeasurementModel;
 use crate::method::fit::Fit;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::linear::stack_with;
-use crate::method::signature::nuisance;
+use crate::method::signature::nuisance_basis;
 
 /// Alignments beyond this are no matter of stamps, s: the answer's characters and what a unit takes for them.
 const MAX_CLOCK_S: f64 = 3e-3;
@@ -37,7 +37,7 @@ fn left_over(system: &WhiskerSystem, fit: &Fit, h: &Hypothesis) -> Option<(f64, 
     let change = (moved.design(&fit.terms)? - &fit.raw_design) * &fit.coefficients / STEP_S;
     let mut tangent = stack_with(&h.weights.apply(&change), &fit.auxiliary_residual);
     tangent.rows_mut(change.len(), fit.auxiliary_residual.len()).fill(0.0);
-    let own = nuisance(fit).project_off(&tangent);
+    let own = nuisance_basis(fit).project_off(&tangent);
     let size = own.norm_squared();
     (size > 0.0).then(|| (own.dot(&fit.stacked()) / size, (fit.variance() / size).sqrt()))
 }

@@ -66,7 +66,7 @@ pub(super) fn dynamic(m: &Matrix2<f64>) -> DMatrix<f64> {
 }
 
 /// Effective stage positions of a path's nodes, mm, and the rod, without what only `unseen` see; the stage's clock set by `stage_clock_s`.
-pub(super) fn driven(
+pub(super) fn effective_poses(
     path: &WhiskerPath,
     active: &[ActiveEffect],
     unseen: Observers,
@@ -203,16 +203,20 @@ impl WhiskerSystem {
         }
     }
 
-    /// See [`driven`].
-    pub(super) fn driven(&self, active: &[ActiveEffect], unseen: Observers) -> (Vec<f64>, RodParameters) {
-        driven(&self.path, active, unseen, self.stage_clock_s)
+    /// See [`effective_poses`].
+    pub(super) fn effective_poses(
+        &self,
+        active: &[ActiveEffect],
+        unseen: Observers,
+    ) -> (Vec<f64>, RodParameters) {
+        effective_poses(&self.path, active, unseen, self.stage_clock_s)
     }
 
     /// Effective moments at the readings, N mm, memory included, and the base moments before it.
     pub fn moments(&self, terms: &[EffectTerm]) -> Option<(Moments, Moments)> {
         let path = &self.path;
         let active = self.active(terms);
-        let (xs, rod_parameters) = self.driven(&active, Observers::Cameras);
+        let (xs, rod_parameters) = self.effective_poses(&active, Observers::Cameras);
         let base = self.rod_tables.moments(&path.nodes, &xs, &rod_parameters)?;
         let mut sensed = base.clone();
         for a in &active {

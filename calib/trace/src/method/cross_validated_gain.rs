@@ -63,7 +63,7 @@ fn gain(system: &dyn MeasurementModel, with: &Fit, without: &Fit) -> Option<(f64
 }
 
 /// The effects of `h` that earn their names, and those that do not.
-pub fn earned(system: &dyn MeasurementModel, h: &Hypothesis) -> (Hypothesis, Vec<usize>) {
+pub fn retain_cross_validated(system: &dyn MeasurementModel, h: &Hypothesis) -> (Hypothesis, Vec<usize>) {
     let (mut kept, mut within) = (h.clone(), Vec::new());
     while !kept.fit.terms.is_empty() {
         let least = (0..kept.fit.terms.len())
@@ -97,7 +97,8 @@ mod tests {
         let system = ColumnsSystem::new(seed, vec![x], &clean);
         let weights = Weights::equal(100);
         let fit = fit(&system, &[ColumnsSystem::term(0)], &weights, 5).unwrap();
-        let (kept, within) = earned(&system, &Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 });
+        let (kept, within) =
+            retain_cross_validated(&system, &Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 });
         (kept.fit.terms.len(), within)
     }
 

@@ -10,7 +10,7 @@
 
 use super::fit::Fit;
 use super::min_p::f_test;
-use super::signature::nuisance;
+use super::signature::nuisance_basis;
 use crate::levels::DELETION;
 use nalgebra::DVector;
 
@@ -34,7 +34,7 @@ struct DeletionDiagnostics {
 impl DeletionDiagnostics {
     fn of(fit: &Fit) -> Self {
         let (readings, channels) = fit.residual.shape();
-        Self { residual: fit.stacked(), basis: nuisance(fit), readings, channels }
+        Self { residual: fit.stacked(), basis: nuisance_basis(fit), readings, channels }
     }
 
     fn without(&self, set: &[usize]) -> DeletedFit {

@@ -9,10 +9,10 @@ use wcal_rod::interpolated_point;
 
 impl WhiskerSystem {
     /// What the pairs would show under `terms`, in their order; none where the model has no solution.
-    pub fn seen(&self, terms: &[EffectTerm]) -> Option<Vec<PairObservation>> {
+    pub fn predict_pictures(&self, terms: &[EffectTerm]) -> Option<Vec<PairObservation>> {
         let Some(pictures) = &self.pictures else { return Some(Vec::new()) };
         let active = self.active(terms);
-        let (xs, rod_parameters) = self.driven(&active, Observers::Gratings);
+        let (xs, rod_parameters) = self.effective_poses(&active, Observers::Gratings);
         let nodes = pictures.nodes();
         let held = self.rod_tables.contacts(&self.path.nodes, &xs, &rod_parameters, &nodes)?;
         let rod = self.rod_tables.rod(&rod_parameters)?;

@@ -5,7 +5,6 @@ use super::request::VerifyRequest;
 use super::session_model::SessionModel;
 use crate::error::TraceError;
 use crate::measurement_model::MeasurementModel;
-use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::CORRELATED_PRICE;
 use crate::method::noise_estimator::{NoiseEstimator, same_whitening};
@@ -63,22 +62,7 @@ pub fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
         return e.restart(noise.weights.unmasked());
     }
     e.search.test.covariates = scores.unwrap_or_else(|| std::mem::take(&mut e.search.test.covariates));
-    // An effect that was not declared hides how the instrument is, too.
+    // An effect that was not declared hides how the instrument is, too; its noise is asked anew then.
     let Some(model) = e.model.renewed(e.search.accepted(), seed) else { return false };
-    e.model = model;
-    let weights = weights_of(&e.model, &kept, e.correlated_gain, seed);
-    e.restart(weights.unwrap_or_else(|| e.weights.clone()))
-}
-
-/// Weights of what `h` leaves on the readings of `model`, which are seen otherwise than those that it was fitted to.
-fn weights_of<M: SessionModel>(
-    model: &M,
-    h: &Hypothesis,
-    correlated_gain: f64,
-    seed: u64,
-) -> Option<Weights> {
-    let judge = NoiseEstimator::new(model, seed).with_correlated_gain(correlated_gain);
-    let weights = independent(model).masked(|i| h.weights.counts(i));
-    let refitted = Hypothesis { fit: fit(model, &h.fit.terms, &weights, 15)?, weights, ..h.clone() };
-    Some(judge.noise(&refitted, &[])?.0.weights.unmasked())
+    e.begin_anew(model)
 }

@@ -1,6 +1,6 @@
 //! Sources of data beside the readings, that hypotheses about the same instrument are held against.
 
-use super::evidence::{Evidence, MAX_ROUNDS, independent};
+use super::evidence::{Evidence, MAX_ROUNDS};
 use super::request::VerifyRequest;
 use super::session_model::SessionModel;
 use crate::error::TraceError;
@@ -56,9 +56,8 @@ pub fn test_witnesses<M: SessionModel>(
         return Ok(Some(found));
     }
     e.refuted.extend(more);
-    e.model = e.model.without(&e.refuted);
-    let weights = independent(&e.model);
-    Ok(if e.restart(weights) { None } else { Some(found) })
+    let model = e.model.without(&e.refuted);
+    Ok(if e.begin_anew(model) { None } else { Some(found) })
 }
 
 /// What a witness says of `h`, kept in `tests` where it is new.

@@ -9,6 +9,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_calibration::{read_calibration, standing};
+use wcal_core::VerificationStatus;
 use wcal_session::SessionLedger;
 
 /// Arguments of `wcal predict`.
@@ -57,6 +58,11 @@ pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
         eprintln!(
             "warning: {} is sealed; that it was opened is recorded in unsealed.json",
             args.table.display()
+        );
+    }
+    if file.verification == VerificationStatus::Reverified {
+        eprintln!(
+            "note: the calibration was verified on sealed readings that another decision had met before"
         );
     }
     let simulated = file.provenance.simulated || is_simulated(&args.table);

@@ -72,7 +72,7 @@ fn headline(input: &ReportInput) -> String {
 }
 
 fn banner(input: &ReportInput) -> String {
-    let (class, short, meaning) = verdict::words(input.verify.verdict);
+    let (class, short, meaning) = verdict::of(&input.verify);
     let mut out = format!(
         "<div class=\"verdict {class}\" role=\"note\"><p class=\"word\"><strong>{short}</strong> <span>{meaning}</span></p>{}",
         paragraph(&input.verify.reason)
@@ -142,7 +142,7 @@ fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> Strin
         &["session", "data", "verdict", "found", "quantity", "#before", "#after", "#noise floor"],
     );
     for entry in entries {
-        let (class, short, _) = verdict::words(entry.verify.verdict);
+        let (class, short, _) = verdict::of(&entry.verify);
         let [name, before, after, floor] = before_after::summary(&entry.verify, &entry.response_unit)
             .unwrap_or_else(|| ["–"; 4].map(str::to_owned));
         let data = match entry.verify.simulated {

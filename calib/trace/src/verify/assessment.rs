@@ -58,8 +58,8 @@ pub fn assess<M: SessionModel>(
     rows: &[M::Row],
     look: Option<&Look>,
 ) -> Result<Assessment<M>, TraceError> {
-    let whole = decision.model.with_holdout(rows)?;
-    let (noise, base) = (&decision.noise, &decision.explained.found.base);
+    let whole = decision.of.model.with_holdout(rows)?;
+    let (noise, base) = (&decision.of.noise, &decision.of.explained.found.base);
     let accepted = &decision.conclusion.accepted;
     let sd = noise.reading_sd(&whole.noise_inputs());
     let at = |h: &Hypothesis| whole.predict(h, &sd).ok_or(TraceError::NoSolution);
@@ -113,7 +113,7 @@ fn judgement<M: SessionModel>(
     errors: &Errors,
     look: &Look,
 ) -> HoldoutJudgement {
-    let (noise, accepted) = (&decision.noise, &decision.conclusion.accepted);
+    let (noise, accepted) = (&decision.of.noise, &decision.conclusion.accepted);
     let p = holdout_p(whole, accepted, noise, flagged);
     let level = look.level(HOLDOUT);
     // The error without readings that are set aside, against what repeats differ by.
@@ -277,9 +277,9 @@ fn residuals<M: SessionModel>(
     [before, after]: [&M::Predictions; 2],
     set_aside: &[usize],
 ) -> Vec<ResidualRecord> {
-    let model = &decision.model;
+    let model = &decision.of.model;
     let covariates = whole.covariates();
-    let sd = decision.noise.reading_sd(&whole.noise_inputs());
+    let sd = decision.of.noise.reading_sd(&whole.noise_inputs());
     let place = |m: &M, i: usize| {
         let o = m.origin(i);
         (o.source, o.line)

@@ -305,12 +305,12 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         &self,
         accepted: Hypothesis,
         on_request: bool,
-        withdrawn: Option<Withdrawn>,
+        withdrawn: Option<&Withdrawn>,
         unfit: Option<Unfit>,
     ) -> Conclusion {
         let unit = self.model.quantities()[0].unit;
         let c = match withdrawn {
-            Some(withdrawn) => self.after_withdrawal(accepted, &withdrawn, unit),
+            Some(withdrawn) => self.after_withdrawal(accepted, withdrawn, unit),
             None => self.as_found(accepted, on_request),
         };
         match unfit.filter(|_| c.asserts_validity()) {

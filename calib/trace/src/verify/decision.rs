@@ -12,20 +12,15 @@ use crate::error::TraceError;
 use crate::levels::ABOVE_FLOOR;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
-use crate::method::noise::Noise;
 use serde_json::{Value, json};
 use wcal_core::Decide;
-use wcal_core::verify_document::{EffectAblation, TwinFault};
+use wcal_core::verify_document::EffectAblation;
 
 /// What was decided on the open readings. Its parts can be read, not changed.
 pub struct Decision<M: SessionModel> {
-    pub(super) model: M,
-    pub(super) explained: Explained,
-    pub(super) faults: Vec<TwinFault>,
+    pub(super) of: Validated<M>,
     pub(super) conclusion: Conclusion,
-    pub(super) noise: Noise,
     pub(super) floor: FloorStatement,
-    pub(super) left_out: LeftOut,
     pub(super) ablations: Vec<EffectAblation>,
     pub(super) calibration: M::Calibration,
     pub(super) claims: Vec<String>,
@@ -35,17 +30,12 @@ pub struct Decision<M: SessionModel> {
 impl<M: SessionModel> Decision<M> {
     /// The model at the open readings, as the noise made it.
     pub fn model(&self) -> &M {
-        &self.model
+        &self.of.model
     }
 
     /// What the search found, and its noise.
     pub fn explained(&self) -> &Explained {
-        &self.explained
-    }
-
-    /// The same by value.
-    pub fn into_explained(self) -> Explained {
-        self.explained
+        &self.of.explained
     }
 
     /// The verdict in parts.
@@ -53,14 +43,9 @@ impl<M: SessionModel> Decision<M> {
         &self.conclusion
     }
 
-    /// Noise of the accepted model.
-    pub fn noise(&self) -> &Noise {
-        &self.noise
-    }
-
     /// Errors of open readings that were left out in turn.
     pub fn left_out(&self) -> &LeftOut {
-        &self.left_out
+        &self.of.left_out
     }
 
     /// The accepted model as a calibration keeps it.
@@ -74,38 +59,24 @@ impl<M: SessionModel> Decision<M> {
 /// # Errors
 /// Where a witness cannot use its data.
 pub fn decide<M: SessionModel>(
-    validated: Validated<M>,
+    mut of: Validated<M>,
     witnesses: &[&dyn Witness<M>],
     request: &VerifyRequest,
 ) -> Result<Decision<M>, TraceError> {
-    let Validated { model, mut explained, faults, accepted, on_request, withdrawn, noise, left_out } =
-        validated;
     let (seed, claims) = (request.search.seed, request.claims.clone());
-    let floor = model.floor(&accepted, &noise, explained.found.failed_adequacy_test().is_some());
-    let mut unfit = model.unusable_reason(&accepted).map(Unfit::Unusable);
+    let floor = of.model.floor(&of.accepted, &of.noise, of.explained.found.failed_adequacy_test().is_some());
+    let mut unfit = of.model.unusable_reason(&of.accepted).map(Unfit::Unusable);
     for witness in witnesses {
-        let test = witness::test(*witness, &model, &accepted, &mut explained.tests)?;
+        let test = witness::test(*witness, &of.model, &of.accepted, &mut of.explained.tests)?;
         unfit = unfit.or(test.filter(|t| t.refuted).map(|t| Unfit::Unusable(t.sentence)));
     }
-    let unfit = unfit.or_else(|| far_above_floor(&model, &accepted, &left_out.errors, &floor, ABOVE_FLOOR));
-    let facts = Facts::of(&model, &explained, &faults);
-    let conclusion = facts.conclude(accepted, on_request, withdrawn, unfit);
-    let (base, accepted) = (&explained.found.base, &conclusion.accepted);
-    let ablations = left_out.ablations(&model, &explained.found, accepted, &noise);
-    let calibration = model.calibration(base, accepted, &noise, floor.sd, seed);
-    Ok(Decision {
-        model,
-        explained,
-        faults,
-        conclusion,
-        noise,
-        floor,
-        left_out,
-        ablations,
-        calibration,
-        claims,
-        seed,
-    })
+    let Validated { model, explained, faults, accepted, on_request, withdrawn, noise, left_out } = &of;
+    let unfit = unfit.or_else(|| far_above_floor(model, accepted, &left_out.errors, &floor, ABOVE_FLOOR));
+    let facts = Facts::of(model, explained, faults);
+    let conclusion = facts.conclude(accepted.clone(), *on_request, withdrawn.as_ref(), unfit);
+    let ablations = left_out.ablations(model, &explained.found, accepted, noise);
+    let calibration = model.calibration(&explained.found.base, accepted, noise, floor.sd, seed);
+    Ok(Decision { conclusion, floor, ablations, calibration, claims, seed, of })
 }
 
 /// Steps of a number within its standard error: closer numbers are the same decision.
@@ -129,10 +100,10 @@ impl<M: SessionModel> Decision<M> {
         let values = h.fit.terms.iter().flat_map(|t| &t.values).enumerate();
         let values = values.map(|(k, v)| rounded(*v, sd(first + k)));
         let law = |t: &crate::EffectTerm| {
-            let effect = &self.model.catalogue()[t.effect];
+            let effect = &self.of.model.catalogue()[t.effect];
             (effect.id.to_owned(), effect.law(t.law).name.to_owned())
         };
-        let flagged = h.flagged.iter().map(|&i| self.model.origin(i)).map(|o| (o.source, o.point));
+        let flagged = h.flagged.iter().map(|&i| self.of.model.origin(i)).map(|o| (o.source, o.point));
         json!({
             "terms": h.fit.terms.iter().map(law).collect::<Vec<_>>(),
             "coefficients": coefficients.collect::<Vec<_>>(),
@@ -144,14 +115,14 @@ impl<M: SessionModel> Decision<M> {
 
 impl<M: SessionModel> Decide for Decision<M> {
     fn content(&self) -> Value {
-        let repeat = self.noise.repeat;
+        let repeat = self.of.noise.repeat;
         json!({
-            "kind": self.model.kind(),
+            "kind": self.of.model.kind(),
             "verdict": self.conclusion.verdict,
-            "declared": self.of_hypothesis(&self.explained.found.base),
+            "declared": self.of_hypothesis(&self.of.explained.found.base),
             "accepted": self.of_hypothesis(&self.conclusion.accepted),
             "noise": rounded(repeat.value, (repeat.interval95[1] - repeat.interval95[0]) / 4.0),
-            "quantities": self.model.quantities().iter().map(|q| q.key).collect::<Vec<_>>(),
+            "quantities": self.of.model.quantities().iter().map(|q| q.key).collect::<Vec<_>>(),
             "claims": self.claims,
         })
     }

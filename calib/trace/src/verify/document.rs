@@ -13,10 +13,11 @@ use wcal_core::verify_document::{FlaggedReading, NoiseDocument, TwinCheck, Verdi
 
 /// The document; session, files and mark are the caller's.
 pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment<M>) -> VerifyDocument {
-    let Decision { model, explained, conclusion, floor, .. } = decision;
+    let Decision { of, conclusion, floor, .. } = decision;
+    let (model, explained) = (&of.model, &of.explained);
     let found = &explained.found;
     let between = model.seating_repeatability(&conclusion.accepted);
-    let noise = (!explained.exact).then(|| noise_document(&decision.noise, between, &model.unit()));
+    let noise = (!explained.exact).then(|| noise_document(&of.noise, between, &model.unit()));
     let rivals: Vec<&Hypothesis> = conclusion.rivals.iter().collect();
     let next = (conclusion.verdict == Verdict::Ambiguous && !rivals.is_empty())
         .then(|| model.next_measurement(&found.best, &rivals));
@@ -27,7 +28,7 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
     };
     let fit = if std::ptr::eq(test, &found.last_test) { &found.best.fit } else { &found.base.fit };
     let second = model.second_witness(found, &conclusion.accepted);
-    let in_turn = &decision.left_out.errors;
+    let in_turn = &of.left_out.errors;
     let errors = match &assessment.errors {
         Some(sealed) => filled(model, sealed.clone(), in_turn),
         None => in_turn.clone(),
@@ -36,7 +37,7 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         effects: conclusion.effects.clone(),
         alternatives: conclusion.alternatives.clone(),
         unknown: conclusion.unknown.clone(),
-        twin: TwinCheck { faults: decision.faults.clone() },
+        twin: TwinCheck { faults: of.faults.clone() },
         noise_floor: floor.floor.clone(),
         flagged: flagged(decision, assessment),
         before: errors.before.clone(),
@@ -69,7 +70,7 @@ fn flagged<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment<M>) 
         let origin = m.origin(i);
         FlaggedReading { source: origin.source, point: origin.point }
     };
-    let fitted = decision.conclusion.accepted.flagged.iter().map(|&i| of(&decision.model, i));
+    let fitted = decision.conclusion.accepted.flagged.iter().map(|&i| of(&decision.of.model, i));
     fitted.chain(assessment.flagged.iter().map(|&i| of(&assessment.whole, i))).collect()
 }
 

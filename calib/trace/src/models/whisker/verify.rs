@@ -78,7 +78,7 @@ pub fn verify_whisker(
         predictions: [v.assessment.before, v.assessment.after],
         branches: branches(open),
         open: open.clone(),
+        found: v.decision.explained().found.clone(),
         whole: v.assessment.whole,
-        found: v.decision.into_explained().found,
     })))
 }

@@ -3,7 +3,7 @@
 pub mod admissible;
 pub mod ambiguity;
 #[cfg(test)]
-mod columns_system_test;
+pub(crate) mod columns_system_test;
 pub mod covariates;
 pub mod cross_validated_gain;
 pub mod deletion_diagnostics;

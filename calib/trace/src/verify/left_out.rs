@@ -2,7 +2,7 @@
 
 use super::error_summary::{coverage95, rmse, summarise};
 use super::session_model::{Folds, HeldOut, SessionModel};
-use crate::method::fit::{Weights, fit};
+use crate::method::fit::{Fit, Weights, fit};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::linear::{Basis, stack_with};
 use crate::method::noise::Noise;
@@ -139,7 +139,7 @@ pub fn leave_out<M: SessionModel>(
         noise_ratio: noise_ratio(model, noise, &counted),
         words: folds.words.clone(),
         remark: format!(
-            " Cross-validation {}: selection and fit used only the remaining readings.",
+            " Cross-validation {}: each fold chose among the refitted explanations and fitted on the remaining readings alone; noise and flags are those of all open readings.",
             folds.words
         ),
     };
@@ -158,10 +158,9 @@ pub(super) fn noise_ratio<M: SessionModel>(model: &M, noise: &Noise, readings: &
 /// The explanation that the readings of `weights` alone would choose among `rivals` (tangent models, Akaike's price).
 fn select_in_fold<'a>(
     rivals: &[&'a Hypothesis],
-    found: &SearchResult,
+    (base, variance): (&Fit, f64),
     weights: &Weights,
 ) -> Option<&'a Hypothesis> {
-    let variance = found.best.fit.variance();
     let cost = |h: &Hypothesis| {
         let (n, channels) = (h.fit.residual.nrows(), h.fit.residual.ncols());
         let kept = |v: &DMatrix<f64>, seen: &DVector<f64>| {
@@ -180,7 +179,7 @@ fn select_in_fold<'a>(
             basis.push(&kept(t, w));
         }
         let left = basis.project_off(&kept(&h.fit.residual, &h.fit.auxiliary_residual)).norm_squared();
-        left / variance + (h.aic(&found.base.fit, variance) - h.fit.ssr / variance)
+        left / variance + (h.aic(base, variance) - h.fit.ssr / variance)
     };
     rivals.iter().map(|h| (cost(h), *h)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, h)| h)
 }
@@ -208,7 +207,8 @@ impl<M: SessionModel> LeaveOut<'_, M> {
         let of_fold = |f: usize| {
             let inside = |i: usize| fold[i] == Some(f);
             let outside: Vec<f64> = (0..fold.len()).map(|i| f64::from(u8::from(!inside(i)))).collect();
-            let h = select_in_fold(rivals, self.found, &Weights::independent(outside)).unwrap_or(start);
+            let scale = (&self.found.base.fit, self.found.best.fit.variance());
+            let h = select_in_fold(rivals, scale, &Weights::independent(outside)).unwrap_or(start);
             // Readings that the accepted model flags are in no fit: before and after stand on the same rows.
             let weights = h.weights.masked(|i| !inside(i) && counts(i));
             let predictions = if by_twin {
@@ -224,5 +224,40 @@ impl<M: SessionModel> LeaveOut<'_, M> {
             })
         };
         (0..count).into_par_iter().flat_map_iter(of_fold).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::method::columns_system_test::ColumnsSystem;
+
+    /// A slope that one group alone shows is chosen by all readings, and not by those that are left when this group is out.
+    #[test]
+    fn a_fold_s_own_readings_have_no_part_in_what_it_chooses() {
+        let x: Vec<f64> = (0..100).map(|i| (i % 10) as f64 / 4.5 - 1.0).collect();
+        let clean: Vec<f64> =
+            x.iter().enumerate().map(|(i, x)| if i / 10 == 3 { 5.0 * x } else { 0.0 }).collect();
+        for seed in 0..10 {
+            let system = ColumnsSystem::new(seed, vec![x.clone()], &clean);
+            let of = |terms: &[crate::EffectTerm]| {
+                let weights = Weights::equal(100);
+                let fit = fit(&system, terms, &weights, 5).unwrap();
+                Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 }
+            };
+            let (plain, slope) = (of(&[]), of(&[ColumnsSystem::term(0)]));
+            let chosen = |leave_out: Option<usize>| {
+                let weights = (0..100).map(|i| f64::from(u8::from(leave_out != Some(i / 10)))).collect();
+                let scale = (&plain.fit, slope.fit.variance());
+                select_in_fold(&[&plain, &slope], scale, &Weights::independent(weights))
+                    .unwrap()
+                    .fit
+                    .terms
+                    .len()
+            };
+            assert_eq!((chosen(None), chosen(Some(3))), (1, 0), "{seed}");
+            // Control: without another group the slope is chosen all the same.
+            assert_eq!(chosen(Some(5)), 1, "{seed}");
+        }
     }
 }

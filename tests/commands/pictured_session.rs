@@ -35,7 +35,7 @@ fn pictures_tell_where_the_groove_is() {
     let session = place.to_str().unwrap();
     // Negative control: without shapes the same session tells it at least ten times less sharply, if at all.
     let (_, _, blind) = verify(session);
-    assert!(blind["witness"].is_null() && blind["after"]["contact_rmse_mm"].is_null(), "{blind}");
+    assert!(blind["tests"].is_null() && blind["after"]["contact_rmse_mm"].is_null(), "{blind}");
     let before = offsets(&blind);
 
     let (code, text) = code_and_messages(&[

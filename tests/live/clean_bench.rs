@@ -51,7 +51,7 @@ fn clean_sessions_are_adequate() {
             "{} {}; pictures scatter {} of what they state; after / floor {:.2}",
             v["verdict"],
             v["effects"],
-            v["pictures"]["reduced_chi"],
+            v["tests"][0]["magnitude"],
             over_floor(v, "after")
         );
     }

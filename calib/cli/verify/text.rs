@@ -130,13 +130,10 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     if let Some(floor) = n.contact_mm {
         println!("  noise floor of a contact {} mm (as the shapes state)", readable(floor));
     }
-    if let Some(witness) = &v.witness {
-        println!("  decided by: {witness}");
-    }
     if let Some(tracked) = &v.groove_tracking {
         println!("  {}", groove_sentence(tracked));
     }
-    for t in &v.tests {
+    for t in v.tests.iter().filter(|t| t.witness != "pictures") {
         let name = if t.effects.is_empty() { "declared model".to_owned() } else { t.effects.join(" with ") };
         let refuted = if t.refuted { " REFUTED" } else { "" };
         println!("  {}: {name:<44} {:.2} {}, p = {:.1e}{refuted}", t.witness, t.magnitude, t.unit, t.p);

@@ -14,8 +14,7 @@ pub use errors::{
     HeldOutError, HoldoutJudgement, HoldoutOutcome,
 };
 pub use findings::{
-    Detectable, EffectParameter, NamedEffect, NextMeasurement, NextPose, SecondWitness, TwinCheck, TwinFault,
-    UnknownEffect,
+    Detectable, EffectParameter, NamedEffect, NextMeasurement, NextPose, TwinCheck, TwinFault, UnknownEffect,
 };
 pub use noise::{CorrelatedNoise, FlaggedReading, NoiseDocument, NoiseFloor, NoiseLaw, NoisePart};
 pub use witness::WitnessTest;
@@ -106,17 +105,10 @@ pub struct VerifyDocument {
     /// Where the tracker by known motion puts the groove through the accepted calibration (whisker); absent where it was not tracked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub groove_tracking: Option<GrooveTracking>,
-    /// What further measurements of the instrument (a sweep over a known object, `--sweep`) say of each explanation; absent without any.
+    /// What further measurements of the instrument say: a sweep over a known object (`--sweep`) of each explanation, pictures of the accepted one;
+    /// absent without any.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tests: Vec<WitnessTest>,
-    /// Which witness decided for the accepted effects, by the gain that each gives: `wavelengths`, `pictures` or `both`; absent without
-    /// pictures or effects.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("enum" = ["wavelengths", "pictures", "both"]))]
-    pub witness: Option<String>,
-    /// The pictures as a second source of data; absent without them.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub pictures: Option<SecondWitness>,
 }
 
 impl VerifyDocument {

@@ -6,7 +6,9 @@ mod data;
 use quick_xml::Reader;
 use quick_xml::events::Event;
 use wcal_core::Provenance;
-use wcal_core::verify_document::{HeldOutError, NoiseFloor, SecondWitness, UnknownEffect, Verdict};
+use wcal_core::verify_document::{
+    HeldOutError, HoldoutOutcome, NoiseFloor, UnknownEffect, Verdict, WitnessTest,
+};
 use wcal_report::{
     Fact, IndexEntry, ReportInput, ShapesInput, number, p_value, percent, render, render_index,
     render_shapes, with_interval,
@@ -198,9 +200,12 @@ fn hostile_text_stays_text() {
     input.verify.next_measurement.as_mut().unwrap().instruction = text();
     input.verify.next_measurement.as_mut().unwrap().separates = vec![text()];
     input.verify.detectable[0].why = text();
-    input.verify.witness = Some(text());
-    let left_out = vec![wcal_core::PairLeftOut { name: text(), why: text() }];
-    input.verify.pictures = Some(SecondWitness { pairs: 1, left_out, ..SecondWitness::default() });
+    let effects = vec![text()];
+    let test =
+        WitnessTest { witness: text(), effects, unit: text(), sentence: text(), ..WitnessTest::default() };
+    input.verify.tests = vec![test];
+    input.verify.holdout.outcome = HoldoutOutcome::Contradicted;
+    input.verify.holdout.why = text();
     input.facts = vec![Fact::new(HOSTILE, HOSTILE)];
     input.versions = vec![Fact::new(HOSTILE, HOSTILE)];
     input.evidence[0].law = text();

@@ -44,7 +44,7 @@ pub struct Draw {
 pub struct Answer {
     pub verdict: Verdict,
     pub effects: Vec<String>,
-    pub witness: Option<String>,
+    pub witness: String,
     pub contact_before_mm: f64,
     pub contact_after_mm: f64,
     pub contact_floor_mm: f64,
@@ -101,7 +101,7 @@ pub fn answer(order: &Draw) -> Answer {
     Answer {
         verdict: d.verdict,
         effects: d.effects.iter().map(|e| e.id.clone()).collect(),
-        witness: d.witness,
+        witness: d.tests.first().map_or_else(String::new, |t| t.sentence.clone()),
         contact_before_mm: contact(&d.before),
         contact_after_mm: contact(&d.after),
         contact_floor_mm: d.noise_floor.contact_mm.unwrap_or(f64::NAN),

@@ -1,6 +1,5 @@
 //! What verify.json says was found, what could have been, and what to measure next.
 
-use crate::observation::PairLeftOut;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -113,22 +112,4 @@ pub struct Detectable {
     pub status: String,
     /// Reason.
     pub why: String,
-}
-
-/// What the pictures say in addition to the wavelengths.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
-pub struct SecondWitness {
-    /// Pairs that count.
-    pub pairs: usize,
-    /// Pairs that are left out, and why.
-    pub left_out: Vec<PairLeftOut>,
-    /// Scatter about the accepted model over what the shapes state; 1 where they state it right.
-    pub reduced_chi: f64,
-    /// Fall of the misfit of the wavelengths by the accepted effects, in variances of the noise.
-    pub gain_wavelengths: f64,
-    /// The same of the pictures.
-    pub gain_pictures: f64,
-    /// Which witness decided, see [`super::VerifyDocument::witness`].
-    #[serde(skip)]
-    pub decided: Option<String>,
 }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// An explanation before a witness: a measurement of the same instrument with noise of its own.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct WitnessTest {
-    /// Identifier of the witness: `sweep`.
+    /// Identifier of the witness: `sweep`, `pictures`.
     pub witness: String,
     /// Effects of the explanation; empty for the declared model.
     pub effects: Vec<String>,
@@ -17,9 +17,10 @@ pub struct WitnessTest {
     /// Chance of a statistic as large.
     #[schemars(range(min = 0, max = 1))]
     pub p: f64,
-    /// Whether the witness refutes the explanation.
+    /// Whether the witness refutes the explanation; pictures join the fit and are weighed by their scatter: they refute nothing by themselves.
     pub refuted: bool,
-    /// Size of what speaks against it: of a sweep the median distance of the nearest possible contact from the object.
+    /// Size of what speaks against it: of a sweep the median distance of the nearest possible contact from the object, of pictures their scatter
+    /// over what the shapes state.
     pub magnitude: f64,
     /// Unit of the magnitude.
     pub unit: String,

@@ -167,8 +167,6 @@ pub fn document(session: &str, kind: &str, verdict: Verdict) -> VerifyDocument {
         groove_tracking: None,
         holdout: HoldoutJudgement::default(),
         tests: Vec::new(),
-        witness: None,
-        pictures: None,
     }
 }
 

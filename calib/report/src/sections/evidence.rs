@@ -12,7 +12,7 @@ pub(super) fn body(input: &ReportInput) -> String {
         [] => out += &absent("No candidate was tested in this run."),
         rows => out += &explanations(rows),
     }
-    out + &pictures(input)
+    out
 }
 
 fn gate(input: &ReportInput) -> String {
@@ -56,46 +56,13 @@ fn explanations(rows: &[EvidenceRow]) -> String {
     table.html()
 }
 
-/// What the pictures say in addition to the wavelengths; empty without them.
-fn pictures(input: &ReportInput) -> String {
-    let Some(pictures) = &input.verify.pictures else { return String::new() };
-    let mut table = Table::new("Pictures and wavelengths", &["what", "#value"]);
-    let decided = input.verify.witness.as_deref();
-    let rows = [
-        ("pairs that count", Some(pictures.pairs.to_string())),
-        ("pairs left out", Some(pictures.left_out.len().to_string())),
-        ("scatter about the accepted model over what the shapes state", Some(number(pictures.reduced_chi))),
-        (
-            "chi-square gain of the accepted effects, wavelengths",
-            decided.map(|_| number(pictures.gain_wavelengths)),
-        ),
-        (
-            "chi-square gain of the accepted effects, pictures",
-            decided.map(|_| number(pictures.gain_pictures)),
-        ),
-        ("decided by", decided.map(str::to_owned)),
-    ];
-    for (what, value) in rows {
-        if let Some(value) = value {
-            table.row(vec![TableCell::Text(what.into()), TableCell::Number(value)]);
-        }
-    }
-    for pair in &pictures.left_out {
-        table.row(vec![
-            TableCell::Text(format!("left out: {}", pair.name)),
-            TableCell::Text(pair.why.clone()),
-        ]);
-    }
-    table.html()
-}
-
 /// Smallest size of each effect that this data could have shown.
 pub(super) fn detectable(input: &ReportInput) -> String {
     let rows = &input.verify.detectable;
     if rows.is_empty() {
         return absent("No smallest detectable sizes were computed in this run.");
     }
-    let with_pictures = input.verify.pictures.as_ref().is_some_and(|p| p.pairs > 0);
+    let with_pictures = input.verify.tests.iter().any(|t| t.witness == "pictures");
     let columns: &[&str] = if with_pictures {
         &["effect", "status", "#smallest size", "#without pictures", "why"]
     } else {

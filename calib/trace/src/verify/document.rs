@@ -9,7 +9,9 @@ use super::left_out::Errors;
 use super::noise_report::{noise_document, noise_sentences};
 use super::session_model::{FloorStatement, SessionModel};
 use crate::method::hypothesis::{Gate, Hypothesis};
-use wcal_core::verify_document::{FlaggedReading, NoiseDocument, TwinCheck, Verdict, VerifyDocument};
+use wcal_core::verify_document::{
+    FlaggedReading, NoiseDocument, TwinCheck, Verdict, VerifyDocument, WitnessTest,
+};
 
 /// The document; session, files and mark are the caller's.
 pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment<M>) -> VerifyDocument {
@@ -27,7 +29,9 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         &found.first_test
     };
     let fit = if std::ptr::eq(test, &found.last_test) { &found.best.fit } else { &found.base.fit };
-    let second = model.second_witness(found, &conclusion.accepted);
+    let effects = || conclusion.effects.iter().map(|e| e.id.clone()).collect();
+    let joined = model.joined_witness(found, &conclusion.accepted);
+    let joined = joined.map(|t| WitnessTest { effects: effects(), ..t });
     let in_turn = &of.left_out.errors;
     let errors = match &assessment.errors {
         Some(sealed) => filled(model, sealed.clone(), in_turn),
@@ -49,9 +53,7 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         notes: notes(model, explained, conclusion, floor, &noise, in_turn),
         leave_one_effect_out: decision.ablations.clone(),
         holdout: assessment.holdout.clone(),
-        witness: second.as_ref().and_then(|s| s.decided.clone()),
-        pictures: second,
-        tests: explained.tests.clone(),
+        tests: explained.tests.iter().cloned().chain(joined).collect(),
         noise,
         verdict: conclusion.verdict,
         ..VerifyDocument::refused("", model.kind(), reason(model, conclusion, floor, &errors), decision.seed)

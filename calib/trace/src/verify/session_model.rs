@@ -10,8 +10,8 @@ use crate::method::search_result::SearchResult;
 use crate::verify::explained::Explained;
 use wcal_core::observation::Role;
 use wcal_core::verify_document::{
-    EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, NoisePart, SecondWitness, TwinFault,
-    UnknownEffect,
+    EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, NoisePart, TwinFault, UnknownEffect,
+    WitnessTest,
 };
 use wcal_core::{ResidualRecord, Sealed};
 
@@ -210,8 +210,8 @@ pub trait SessionModel: SessionText + Sized {
         after: &Self::Predictions,
         at: &Record,
     ) -> Vec<ResidualRecord>;
-    /// What a second witness says beside the readings; none without one.
-    fn second_witness(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Option<SecondWitness> {
+    /// What a witness that joins the fit says of the accepted model; none without one.
+    fn joined_witness(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Option<WitnessTest> {
         None
     }
     /// How the zero varies from session to session, where several were joined.

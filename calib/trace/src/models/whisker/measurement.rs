@@ -13,6 +13,7 @@ use super::twin_check::{check_labels, labelled_moments};
 use crate::error::TraceError;
 use crate::levels::{GENERIC, NORMAL_95};
 use crate::measurement_model::MeasurementModel;
+use crate::method::distributions::chi_squared_tail;
 use crate::method::fit::{Fit, Weights};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::{self};
@@ -24,7 +25,7 @@ use crate::verify::{HeldOut, SessionModel, SessionText};
 use nalgebra::Vector2;
 use wcal_core::observation::WhiskerRow;
 use wcal_core::verify_document::{
-    EffectParameter, NextMeasurement, NoiseFloor, NoisePart, SecondWitness, TwinFault,
+    EffectParameter, NextMeasurement, NoiseFloor, NoisePart, TwinFault, WitnessTest,
 };
 use wcal_core::{ResidualRecord, Sealed};
 
@@ -94,7 +95,8 @@ impl SessionText for WhiskerSystem {
         notes.extend(model_error(found));
         notes.extend(unsteady(self));
         notes.extend(clock(self));
-        notes.extend(self.second_witness(found, accepted).map(|s| witness_note(&s)));
+        notes.extend(pairs_left_out(self));
+        notes.extend(self.joined_witness(found, accepted).map(|t| t.sentence));
         notes.extend(spread_of_zeros(self, &accepted.fit).map(|b| b.note()));
         notes
     }
@@ -285,28 +287,30 @@ impl SessionModel for WhiskerSystem {
         (0..2).map(of_channel).collect()
     }
 
-    fn second_witness(&self, found: &SearchResult, accepted: &Hypothesis) -> Option<SecondWitness> {
-        let shapes = self.data.shapes.as_ref()?;
-        let mut report = SecondWitness { left_out: shapes.left_out.clone(), ..SecondWitness::default() };
-        let Some(pictures) = self.pictures() else { return Some(report) };
-        let (base, fit) = (&found.base.fit, &accepted.fit);
-        let variance = fit.readings_variance();
-        report.pairs = pictures.len();
-        report.left_out.extend(pictures.left_out().iter().cloned());
-        report.reduced_chi = pictures.independent_variance_share() * reduced_chi(fit, self.picture_scale());
-        report.gain_wavelengths = (base.residual.norm_squared() - fit.residual.norm_squared()) / variance;
-        report.gain_pictures = (base.auxiliary_residual.norm_squared()
-            - fit.auxiliary_residual.norm_squared())
-            / self.picture_scale().powi(2);
-        let gains = [report.gain_wavelengths, report.gain_pictures].map(|g| g.max(0.0));
-        let share = gains[1] / (gains[0] + gains[1]).max(1e-300);
-        let decided = match share {
-            s if s >= DECIDES => "pictures",
-            s if s <= 1.0 - DECIDES => "wavelengths",
-            _ => "both",
-        };
-        report.decided = (!fit.terms.is_empty()).then(|| decided.to_owned());
-        Some(report)
+    fn joined_witness(&self, found: &SearchResult, accepted: &Hypothesis) -> Option<WitnessTest> {
+        let (pictures, base, fit) = (self.pictures()?, &found.base.fit, &accepted.fit);
+        let share = pictures.independent_variance_share();
+        let (chi, dof) = (share * reduced_chi(fit, self.picture_scale()), fit.witness_count as f64);
+        let gains = [
+            (base.residual.norm_squared() - fit.residual.norm_squared()) / fit.readings_variance(),
+            (base.auxiliary_residual.norm_squared() - fit.auxiliary_residual.norm_squared())
+                / self.picture_scale().powi(2),
+        ];
+        let sentence = format!(
+            "Pictures: {} pairs count beside the wavelengths; they scatter about the accepted model {chi:.2} times as far as the shapes state{}.",
+            pictures.len(),
+            if fit.terms.is_empty() { String::new() } else { decided(gains) }
+        );
+        Some(WitnessTest {
+            witness: "pictures".to_owned(),
+            statistic: chi * chi * dof,
+            dof,
+            p: chi_squared_tail(chi * chi * dof, dof)?,
+            magnitude: chi,
+            unit: "1".to_owned(),
+            sentence,
+            ..WitnessTest::default()
+        })
     }
 
     fn seating_repeatability(&self, accepted: &Hypothesis) -> Option<NoisePart> {
@@ -314,23 +318,27 @@ impl SessionModel for WhiskerSystem {
     }
 }
 
-/// What the pictures add, in words.
-fn witness_note(s: &SecondWitness) -> String {
-    if s.pairs == 0 {
-        return "Pictures: none of the pairs counts beside the wavelengths.".to_owned();
-    }
-    let used = format!(
-        "Pictures: {} pairs count beside the wavelengths; they scatter about the accepted model {:.2} times as far as the shapes state",
-        s.pairs, s.reduced_chi
-    );
-    let gains = s.decided.as_ref().map_or_else(String::new, |decided| {
-        let by = if decided == "both" { "both witnesses" } else { decided };
-        format!(
-            "; the accepted effects lower the misfit by {:.0} variances in the wavelengths and {:.0} in the pictures: {by} decided",
-            s.gain_wavelengths, s.gain_pictures
-        )
-    });
-    format!("{used}{gains}.")
+/// Which of both decided for the accepted effects, by the falls of the misfit of wavelengths and pictures, in variances.
+fn decided([wavelengths, pictures]: [f64; 2]) -> String {
+    let share = pictures.max(0.0) / (wavelengths.max(0.0) + pictures.max(0.0)).max(1e-300);
+    let by = match share {
+        s if s >= DECIDES => "pictures",
+        s if s <= 1.0 - DECIDES => "wavelengths",
+        _ => "both witnesses",
+    };
+    format!(
+        "; the accepted effects lower the misfit by {wavelengths:.0} variances in the wavelengths and {pictures:.0} in the pictures: {by} decided"
+    )
+}
+
+/// Pairs that do not count, and why.
+fn pairs_left_out(system: &WhiskerSystem) -> Vec<String> {
+    let Some(shapes) = &system.data.shapes else { return Vec::new() };
+    let none = "Pictures: none of the pairs counts beside the wavelengths.".to_owned();
+    let none = system.pictures().is_none().then_some(none);
+    let further = system.pictures().map_or(&[][..], Pictures::left_out);
+    let each = shapes.left_out.iter().chain(further);
+    none.into_iter().chain(each.map(|p| format!("Pair {} does not count: {}.", p.name, p.why))).collect()
 }
 
 /// What is left, where it is not beyond the model's own error.

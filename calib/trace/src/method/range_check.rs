@@ -34,6 +34,7 @@ fn holds(fit: &Fit, columns: std::ops::Range<usize>, share: f64) -> bool {
     if over == 0 {
         return true;
     }
+    // Everything else is free to take up what the bounded effect may not: its span is projected off.
     let mut others = Basis::default();
     for (_, column) in fit.design.column_iter().enumerate().filter(|(j, _)| !columns.contains(j)) {
         let column: Vec<f64> = column.iter().copied().collect();
@@ -75,6 +76,7 @@ fn rise_under_bound(
     let start = DVector::from_iterator(k, (0..k).map(|a| free[a] * size[a]));
     let linear = -(&gram * &start);
     let scale = start.amax().max(1e-300);
+    // One pair of linear constraints a reading: the effect's own part within its bound, up and down.
     let (mut rows, mut bounds) = (Vec::new(), Vec::new());
     for (c, limit) in largest.iter().enumerate() {
         for i in 0..fit.design.nrows() {

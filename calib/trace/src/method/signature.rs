@@ -1,4 +1,9 @@
-//! Signatures: how the data would change if a effect acted, less what the nuisance parameters take up.
+//! Signatures: how the data would change if an effect acted, less what the nuisance parameters take up.
+//!
+//! ```text
+//! s = P (X(theta + probe) - X(theta)) b,     P = I - N (N' N)^-1 N'        N: design and tangents of what is fitted already
+//! gain = |Q' r|^2,   Q: orthonormal in the span of s                        fall of the sum of squares by it
+//! ```
 
 use super::fit::{Fit, Weights};
 use super::linear::{Basis, stack_with};
@@ -28,6 +33,7 @@ pub struct Signature {
 pub fn nuisance_basis(fit: &Fit) -> Basis {
     let mut basis = Basis::default();
     let channels = fit.residual.ncols();
+    // Every channel has coefficients of its own: a column is free in each.
     for column in fit.design.column_iter() {
         for c in 0..channels {
             basis.push(&fit.in_channel(column.clone_owned().as_slice(), c));
@@ -81,6 +87,7 @@ pub fn signatures_of_effect(
         for point in grid(law) {
             let mut raw: Vec<DVector<f64>> = Vec::new();
             let mut amplitudes = Vec::new();
+            // Score direction of an amplitude: a difference from zero, the coefficients as they are.
             for (slot, p) in law.parameters.iter().enumerate() {
                 let Role::Amplitude { probe } = p.role else { continue };
                 let mut values = point.clone();
@@ -93,6 +100,7 @@ pub fn signatures_of_effect(
                 raw.push(stack_with(&change, &(&fit.auxiliary_residual - auxiliary_residual)));
                 amplitudes.push((slot, probe));
             }
+            // A law with columns of its own is linear in them: each is a direction as it stands.
             if !law.linear.is_empty() {
                 let mut terms = fit.terms.clone();
                 terms.push(EffectTerm { effect, law: index, values: point.clone() });
@@ -129,6 +137,7 @@ pub fn build(
 ) -> Option<Signature> {
     let projected: Vec<DVector<f64>> = raw.iter().map(|v| nuisance.project_off(v)).collect();
     let mut share_left: f64 = 0.0;
+    // What is nearly all taken up by the nuisances would be a direction of rounding.
     let mut own = Basis::default();
     for (v, p) in raw.iter().zip(&projected) {
         let size = v.norm();
@@ -168,6 +177,7 @@ impl Signature {
         if m == 0 {
             return term;
         }
+        // Normal equations of the projected signatures; amplitudes that look alike share by the ridge.
         let a = DMatrix::from_fn(m, m, |i, j| self.projected[i].dot(&self.projected[j]));
         let ridge = 1e-9 * a.trace().max(1e-300);
         let b = DVector::from_fn(m, |i, _| self.projected[i].dot(residual));

@@ -40,6 +40,7 @@ pub fn best_subsets(
     for (mut to, from) in matrix.column_iter_mut().zip(&columns) {
         to.copy_from(from);
     }
+    // Everything that a subset needs stands in one Gram matrix: no subset is fitted on the readings.
     let (gram, along) = (transposed_product(&matrix, &matrix), matrix.tr_mul(residual));
     let mut found: Vec<Subset> = Vec::new();
     let mut members = Vec::new();
@@ -58,11 +59,13 @@ pub fn best_subsets(
                 .iter()
                 .flat_map(|&m| starts[m]..starts[m] + signatures[chosen[m]].dimension())
                 .collect();
+            // Least squares of the subset alone, from its block of the Gram matrix.
             let small = DMatrix::from_fn(own.len(), own.len(), |i, j| gram[(own[i], own[j])]);
             let right = DVector::from_iterator(own.len(), own.iter().map(|&k| along[k]));
             let Some(solution) = small.cholesky().map(|c| c.solve(&right)) else { return };
             let mut at = 0;
             let mut price = 0.0;
+            // A one-sided amplitude below zero is no explanation; each parameter has Akaike's price.
             for &m in members {
                 let signature = &signatures[chosen[m]];
                 if signature.one_sided && solution[at] <= 0.0 {

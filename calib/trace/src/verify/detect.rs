@@ -124,6 +124,7 @@ fn smallest<M: SessionModel>(
         .filter_map(|a| {
             let law = a.term.law;
             let chi = ChiSquared::new(a.dimension() as f64).ok()?;
+            // Noncentrality that is found with 90 %: critical value of the family and the quantile of the power.
             let needed = chi.inverse_cdf(1.0 - critical).sqrt() + POWER_90;
             let (unit, probe) = match a.amplitudes.first() {
                 Some((slot, probe)) => (laws[law].parameters[*slot].unit, probe.abs()),

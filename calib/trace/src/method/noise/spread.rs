@@ -51,7 +51,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// Fits log sd = a + b z by Fisher scoring; returns b, its standard error and the negative log likelihood.
-fn breusch_pagan_score(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
+fn fit_log_linear_variance(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
     let n = residual.len() as f64;
     let z = centred(z);
     let zz = dot(&z, &z);
@@ -60,6 +60,7 @@ fn breusch_pagan_score(residual: &[f64], z: &[f64]) -> (f64, f64, f64) {
     for _ in 0..60 {
         let w: Vec<f64> =
             residual.iter().zip(&z).map(|(r, z)| r * r * (-2.0 * (a + b * z)).exp() - 1.0).collect();
+        // Fisher scoring: level and slope of log sigma are orthogonal where z is centred.
         let (da, db) = (0.5 * w.iter().sum::<f64>() / n, 0.5 * dot(&w, &z) / zz);
         // Short steps: the first ones overshoot where single residuals are large.
         a += da.clamp(-1.0, 1.0);
@@ -86,6 +87,7 @@ pub fn heteroscedasticity_test(
         return None;
     }
     let z = centred(u);
+    // The cube root of a squared Gaussian is nearly Gaussian (Wilson & Hilferty): a correlation of it is not ruled by single residuals.
     let mut size = centred(&residual.iter().map(|r| (r * r).cbrt()).collect::<Vec<f64>>());
     let scale = (dot(&z, &z) * dot(&size, &size)).sqrt();
     if !(scale > 0.0) {
@@ -93,13 +95,14 @@ pub fn heteroscedasticity_test(
     }
     let correlation = dot(&z, &size) / scale;
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed ^ 0x0057_9ead);
+    // Under the null every order of the residuals is as likely: no law of the noise is assumed.
     let reached = (0..draws)
         .filter(|_| {
             size.shuffle(&mut rng);
             (dot(&z, &size) / scale).abs() >= correlation.abs()
         })
         .count();
-    let (b, se, nll) = breusch_pagan_score(residual, u);
+    let (b, se, nll) = fit_log_linear_variance(residual, u);
     let mut out = Spread {
         p_value: (reached as f64 + 1.0) / (draws as f64 + 1.0),
         correlation,
@@ -110,7 +113,7 @@ pub fn heteroscedasticity_test(
     };
     if let Some(x) = x.filter(|x| x.iter().all(|x| *x > 0.0)) {
         let logs: Vec<f64> = x.iter().map(|x| x.ln()).collect();
-        let (b, se, power_nll) = breusch_pagan_score(residual, &logs);
+        let (b, se, power_nll) = fit_log_linear_variance(residual, &logs);
         if power_nll < nll {
             out.law = SpreadLaw::Power;
             out.exponent = b;
@@ -148,7 +151,7 @@ mod tests {
             let (r, x, u) = simulated(100, 1.0, seed);
             let s = heteroscedasticity_test(&r, Some(&x), &u, 400, seed).unwrap();
             assert!(s.p_value < 0.05 && s.correlation > 0.0, "seed {seed}: {}", s.p_value);
-            let (b, se, _) = breusch_pagan_score(&r, &x.iter().map(|x| x.ln()).collect::<Vec<_>>());
+            let (b, se, _) = fit_log_linear_variance(&r, &x.iter().map(|x| x.ln()).collect::<Vec<_>>());
             covered += u32::from((b - 1.0).abs() < NORMAL_95 * se);
         }
         assert!(covered >= 52, "claimed intervals covered {covered} of 60");

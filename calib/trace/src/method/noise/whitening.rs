@@ -169,6 +169,7 @@ impl Weights {
                 *v = 0.0;
                 continue;
             }
+            // Innovation: what the readings before did not let expect; its standard deviation makes it white.
             let surprise = *v - correlated - f.posed * pose;
             correlated += f.gain[0] * surprise;
             pose += f.gain[1] * surprise;
@@ -209,6 +210,7 @@ fn innovations(relative: &[f64], shared: &SharedNoise) -> Vec<Innovation> {
     (0..relative.len())
         .map(|i| {
             let dt = if i == 0 { f64::INFINITY } else { (shared.clock[i] - shared.clock[i - 1]).max(0.0) };
+            // Prediction: the correlated part forgets with the time between, a pose set anew is another draw.
             let decay = (-dt / tau).exp();
             let new_setting = i == 0 || shared.settings[i] != shared.settings[i - 1];
             cc = decay * decay * cc + (1.0 - decay * decay) * stationary;
@@ -220,6 +222,7 @@ fn innovations(relative: &[f64], shared: &SharedNoise) -> Vec<Innovation> {
             if relative[i] <= 0.0 {
                 return Innovation { decay, new_setting, posed, gain: [0.0; 2], scale: 0.0 };
             }
+            // Update: covariance of the states with the reading, gain, and what is left of their own.
             let (c, p) = (cc + posed * cp, cp + posed * pp);
             let variance = c + posed * p + relative[i].powi(-2);
             let gain = [c / variance, p / variance];

@@ -220,6 +220,7 @@ impl SessionModel for WhiskerSystem {
     fn errors(&self, predictions: &Predictions, reading: usize) -> HeldOut {
         let (r, p) = (&self.path.readings[reading], &predictions.readings[reading]);
         let moment = Vector2::from(p.moment_nmm) - Vector2::from(p.pose_moment_nmm);
+        // Two errors of one reading: in the sensor's unit from the pose, in moments from the wavelengths.
         let wavelength = Vector2::from(r.shift_pm) - Vector2::from(p.shift_pm);
         let inside = |c: usize| moment[c].abs() <= NORMAL_95 * p.moment_sd_nmm[c];
         HeldOut {

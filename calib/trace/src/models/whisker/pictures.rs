@@ -90,6 +90,7 @@ impl Pictures {
 
     /// The same pairs with `share` of the own errors that they state.
     pub fn with_own_share(&self, share: f64) -> Self {
+        // Whitening divides by the errors, so fewer errors stretch it; shared ones keep their size and weigh more.
         let stretch = self.independent_variance_share / share;
         let smaller = |p: &Pair| Pair { whitening: &p.whitening * stretch, ..p.clone() };
         Self {
@@ -145,6 +146,7 @@ impl Pictures {
     /// Measured less predicted, white with unit variance; zero where the reading does not count.
     pub fn whitened(&self, predicted: &[PairObservation], counts: impl Fn(usize) -> bool) -> DVector<f64> {
         let mut u = DVector::zeros(self.readings.len());
+        // By its own errors each pair is whitened alone.
         for (pair, g) in self.pairs.iter().zip(predicted) {
             if counts(pair.reading) {
                 let off = pair.difference(g);
@@ -153,6 +155,7 @@ impl Pictures {
         }
         let mask: Vec<bool> = self.pairs.iter().map(|p| counts(p.reading)).collect();
         let Some(root) = self.roots.get(mask.clone(), || Some(self.root(&mask))) else { return u };
+        // What all pairs share is integrated out: a symmetric root of low rank beside the identity.
         let mut taken = &self.shared * (&*root * self.shared.tr_mul(&u));
         for (value, reading) in taken.iter_mut().zip(self.readings.iter()) {
             if !counts(*reading) {

@@ -50,6 +50,7 @@ impl RodParameters {
             Some(Softening::Section { onset_per_m, hardening }) => (1.0 - hardening, onset_per_m, 2.0),
         };
         let ((a, a_onset, a_law), (b, b_onset, b_law)) = (softening(self), softening(other));
+        // Each change in the size from which a continuation from the other wire begins to fail.
         let mut sum: f64 = ((a - b) / 0.2).powi(2) + ((self.taper - other.taper) / 0.2).powi(2);
         if a > 0.0 && b > 0.0 {
             sum += ((a_onset - b_onset) / 10.0).powi(2) + (a_law - b_law).powi(2);

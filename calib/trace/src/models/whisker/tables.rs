@@ -94,6 +94,7 @@ impl SlipTable {
         let (j, w) = bracket(x, self.rows.len());
         let dr = self.ratios[1] - self.ratios[0];
         let (k, v) = bracket((ratio - self.ratios[0]) / dr, self.ratios.len());
+        // Tensor product of four-point Lagrange weights: cubic in the stage's position and in the ratio.
         let mut sum = 0.0;
         for (a, wa) in w.iter().enumerate() {
             for (b, vb) in v.iter().enumerate() {

@@ -43,6 +43,7 @@ impl PhysicalModel {
             .collect();
         let visible: Vec<[f64; 2]> =
             gradients.iter().zip(noise_sd_pm).map(|(g, s)| self.sd_nmm(inverse, g, *s)).collect();
+        // Central differences through the whole history: memory carries a value's error from reading to reading.
         for (place, sd) in self.uncertain_values() {
             let step = VALUE_STEP * sd;
             let [low, high] = [-step, step].map(|by| {
@@ -62,6 +63,7 @@ impl PhysicalModel {
     pub(super) fn of_coefficients(&self, inverse: &Matrix2<f64>, row: &[f64]) -> DMatrix<f64> {
         let q = self.coefficients.len();
         let mut g = DMatrix::zeros(2, self.covariance.len());
+        // m = K^-1 (y - B u): a coefficient moves the moment by -K^-1 e_c u_k.
         for c in 0..2 {
             for (k, u) in row.iter().enumerate() {
                 g.fixed_view_mut::<2, 1>(0, c * q + k).copy_from(&(-inverse.column(c) * *u));
@@ -77,6 +79,7 @@ impl PhysicalModel {
         gradient: &DMatrix<f64>,
         noise_sd_pm: f64,
     ) -> [f64; 2] {
+        // Noise of the wavelengths through the inverse, then g' C g of what was fitted (GUM 5.2.2).
         let noise = inverse * inverse.transpose() * noise_sd_pm.powi(2);
         [0, 1].map(|c| {
             let g = gradient.row(c);

@@ -72,4 +72,26 @@ impl Hypothesis {
     pub fn is_admissible(&self, system: &dyn MeasurementModel) -> bool {
         self.fit.status != Status::NotConverged && self.is_physical(system)
     }
+
+    /// The same without each of its terms in turn, everything else refitted (R: `drop1`).
+    pub fn drop1(&self, system: &dyn MeasurementModel) -> Vec<(usize, Self)> {
+        let without = |k: usize| Some((k, self.without(system, |j, _| j == k)?));
+        (0..self.fit.terms.len()).filter_map(without).collect()
+    }
+
+    /// Backward elimination: `weakest` picks the term that goes from those dropped in turn, until none has to. What is left, and effects that went.
+    pub fn eliminate(
+        &self,
+        system: &dyn MeasurementModel,
+        weakest: impl Fn(&Self, Vec<(usize, Self)>) -> Option<(usize, Self)>,
+    ) -> (Self, Vec<usize>) {
+        let (mut kept, mut gone) = (self.clone(), Vec::new());
+        while !kept.fit.terms.is_empty()
+            && let Some((k, without)) = weakest(&kept, kept.drop1(system))
+        {
+            gone.push(kept.fit.terms[k].effect);
+            kept = without;
+        }
+        (kept, gone)
+    }
 }

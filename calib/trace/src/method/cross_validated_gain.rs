@@ -64,24 +64,15 @@ fn gain(system: &dyn MeasurementModel, with: &Fit, without: &Fit) -> Option<(f64
 
 /// The effects of `h` that earn their names, and those that do not.
 pub fn retain_cross_validated(system: &dyn MeasurementModel, h: &Hypothesis) -> (Hypothesis, Vec<usize>) {
-    let (mut kept, mut within) = (h.clone(), Vec::new());
-    while !kept.fit.terms.is_empty() {
-        let least = (0..kept.fit.terms.len())
-            .filter_map(|k| {
-                let without = kept.without(system, |j, _| j == k)?;
-                let (sum, sd) = gain(system, &kept.fit, &without.fit)?;
-                Some((sum / sd.max(1e-300), kept.fit.terms[k].effect, without))
-            })
-            .min_by(|a, b| a.0.total_cmp(&b.0));
-        match least {
-            Some((ratio, effect, without)) if ratio < 1.0 => {
-                kept = without;
-                within.push(effect);
-            }
-            _ => break,
-        }
-    }
-    (kept, within)
+    h.eliminate(system, |kept, dropped| {
+        let ratio = |without: &Hypothesis| {
+            let (sum, sd) = gain(system, &kept.fit, &without.fit)?;
+            Some(sum / sd.max(1e-300))
+        };
+        let judged = dropped.into_iter().filter_map(|d| Some((ratio(&d.1)?, d)));
+        // Less than one standard error of the gain between groups (Breiman et al. 1984).
+        judged.min_by(|a, b| a.0.total_cmp(&b.0)).filter(|(ratio, _)| *ratio < 1.0).map(|(_, d)| d)
+    })
 }
 
 #[cfg(test)]

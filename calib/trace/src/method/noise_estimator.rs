@@ -82,30 +82,18 @@ impl<'a> NoiseEstimator<'a> {
         family.family_wise_p(f_test(worse - 1.0, worse, a.dof, extra as usize))
     }
 
-    /// The effects of `best` that hold against the noise which would stand in their place, judged in `family`.
-    pub(crate) fn backward_eliminate(
-        &self,
-        best: &Hypothesis,
-        family: &MinPDistribution,
-    ) -> Option<Hypothesis> {
-        let mut best = best.clone();
-        while !best.fit.terms.is_empty() {
-            let with = self.noise(&best, &[])?;
-            let mut weakest: Option<(f64, Hypothesis)> = None;
-            for k in 0..best.fit.terms.len() {
-                let Some(without) = best.without(self.system, |j, _| j == k) else { continue };
-                let p = self.p_value(&self.noise(&without, &[])?, &with, family);
-                if weakest.as_ref().is_none_or(|w| p > w.0) {
-                    weakest = Some((p, without));
-                }
-            }
+    /// The effects of `best` that hold against the noise which would stand in their place, judged in `family`. A model that is degenerate under
+    /// another noise is judged under the one that it was found with.
+    pub(crate) fn backward_eliminate(&self, best: &Hypothesis, family: &MinPDistribution) -> Hypothesis {
+        let weakest = |kept: &Hypothesis, dropped: Vec<(usize, Hypothesis)>| {
+            let with = self.noise(kept, &[])?;
             let level = if with.0.correlated.is_some() { RETAIN_BESIDE_CORRELATED } else { RETAIN };
-            match weakest {
-                Some((p, without)) if p > level => best = without,
-                _ => break,
-            }
-        }
-        Some(best)
+            let judged = dropped
+                .into_iter()
+                .filter_map(|d| Some((self.p_value(&self.noise(&d.1, &[])?, &with, family), d)));
+            judged.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(p, _)| *p > level).map(|(_, d)| d)
+        };
+        best.eliminate(self.system, weakest).0
     }
 
     /// Generic drivers of what `h` leaves, by their likelihood with a noise of their own; none where none holds against the noise without.

@@ -45,9 +45,7 @@ pub fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
         e.correlated_gain = CORRELATED_PRICE;
     }
     let judge = NoiseEstimator::new(&e.model, seed).with_correlated_gain(e.correlated_gain);
-    // A model that is degenerate under another noise is judged under the one that it was found with.
     let kept = judge.backward_eliminate(&e.search.best, &e.search.first_test.family);
-    let kept = kept.unwrap_or_else(|| e.search.best.clone());
     let Some((noise, _)) = judge.noise(&kept, &[]) else { return false };
     let dropped = kept.fit.terms.len() < e.search.best.fit.terms.len();
     let tails_dof = noise.tails.filter(|t| t.heavy).map(|t| t.dof);

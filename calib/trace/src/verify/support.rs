@@ -14,23 +14,14 @@ use nalgebra::{DMatrix, DVector};
 /// `h` without the terms that are none: beside the others each has to pass the level at which the search names. The least supported one
 /// first; itself where all are.
 pub fn supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Hypothesis {
-    let mut kept = h.clone();
-    while let Some(without) = least_supported(model, found, &kept) {
-        kept = without;
-    }
-    kept
-}
-
-/// `h` refitted without its least supported term, where that is none.
-fn least_supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Option<Hypothesis> {
-    (0..h.fit.terms.len())
-        .filter_map(|term| {
-            let without = h.without(model, |k, _| k == term)?;
-            let p = without.removal_p(&h.fit, &found.first_test.family);
-            (p >= CATALOGUE || amplitudes_hold_zero(model, &h.fit, term)).then_some((p, without))
-        })
-        .max_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|(_, without)| without)
+    let weakest = |kept: &Hypothesis, dropped: Vec<(usize, Hypothesis)>| {
+        let judged = dropped.into_iter().map(|d| (d.1.removal_p(&kept.fit, &found.first_test.family), d));
+        let none = |(p, (term, _)): &(f64, (usize, Hypothesis))| {
+            *p >= CATALOGUE || amplitudes_hold_zero(model, &kept.fit, *term)
+        };
+        judged.filter(none).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, d)| d)
+    };
+    h.eliminate(model, weakest).0
 }
 
 /// The joint 95 % region of a term's amplitudes, linear coefficients among them, holds zero (Wald). Each by itself may well hold it: sine and

@@ -5,6 +5,8 @@ use super::request::VerifyRequest;
 use super::session_model::SessionModel;
 use crate::error::TraceError;
 use crate::measurement_model::MeasurementModel;
+use crate::method::admissible::REFIT_STEPS;
+use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::CORRELATED_PRICE;
 use crate::method::noise_estimator::{NoiseEstimator, same_whitening};
@@ -55,12 +57,31 @@ pub fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
     let scores = (changed && !dropped && e.search.test.generic())
         .then(|| judge.covariate_scores(&kept, &e.search.test))
         .flatten();
-    if changed && scores.is_none() {
-        e.options.tails_dof = tails_dof;
-        return e.restart(noise.weights.unmasked());
+    let settled = !changed || scores.is_some();
+    if let Some(scores) = scores {
+        e.search.test.covariates = scores;
     }
-    e.search.test.covariates = scores.unwrap_or_else(|| std::mem::take(&mut e.search.test.covariates));
-    // An effect that was not declared hides how the instrument is, too; its noise is asked anew then.
-    let Some(model) = e.model.renewed(e.search.accepted(), seed) else { return false };
-    e.begin_anew(model)
+    // An effect that was not declared hides how the instrument is, too.
+    let renewed = e.model.renewed(e.search.accepted(), settled, seed);
+    if settled && renewed.is_none() {
+        return false;
+    }
+    e.options.tails_dof = tails_dof;
+    let Some(model) = renewed else { return e.restart(noise.weights.unmasked()) };
+    let weights = weights_of(&model, &kept, e.correlated_gain, seed);
+    e.model = model;
+    e.restart(weights.unwrap_or_else(|| independent(&e.model)))
+}
+
+/// Weights of what `h` leaves on the readings of `model`, which are seen otherwise than those that it was fitted to.
+fn weights_of<M: SessionModel>(
+    model: &M,
+    h: &Hypothesis,
+    correlated_gain: f64,
+    seed: u64,
+) -> Option<Weights> {
+    let judge = NoiseEstimator::new(model, seed).with_correlated_gain(correlated_gain);
+    let weights = independent(model).masked(|i| h.weights.counts(i));
+    let refitted = Hypothesis { fit: fit(model, &h.fit.terms, &weights, REFIT_STEPS)?, weights, ..h.clone() };
+    Some(judge.noise(&refitted, &[])?.0.weights.unmasked())
 }

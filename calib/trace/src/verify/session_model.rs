@@ -134,8 +134,8 @@ pub trait SessionModel: SessionText + Sized {
         Some(self)
     }
     /// The instrument as the accepted model shows it: how channels mix, how clocks lie, how good pictures are, how the spread follows the stimulus.
-    /// None where that is what it is taken for, within its uncertainty.
-    fn renewed(&self, accepted: &Hypothesis, seed: u64) -> Option<Self>;
+    /// None where that is what it is taken for, within its uncertainty. `settled`: the noise no longer changes.
+    fn renewed(&self, accepted: &Hypothesis, settled: bool, seed: u64) -> Option<Self>;
     /// The same without effects that a witness refutes, by identifier.
     fn without(&self, refuted: &[String]) -> Self;
     /// What is no law of the catalogue and is asked for by repeats alone (a table of errors) in the place of what was found.

@@ -161,8 +161,9 @@ impl SessionModel for ScalarSystem {
         Some(format!("The data cannot be used: {why}."))
     }
 
-    fn renewed(&self, accepted: &Hypothesis, seed: u64) -> Option<Self> {
-        with_spread_of(self, accepted, seed)
+    /// What neighbours share can look like a law of the spread: that is asked last.
+    fn renewed(&self, accepted: &Hypothesis, settled: bool, seed: u64) -> Option<Self> {
+        settled.then(|| with_spread_of(self, accepted, seed)).flatten()
     }
 
     fn without(&self, _refuted: &[String]) -> Self {

@@ -141,7 +141,7 @@ impl SessionModel for WhiskerSystem {
     }
 
     /// An effect that was not declared hides how much noise the channels share, and how good the pictures are beside it.
-    fn renewed(&self, accepted: &Hypothesis, _seed: u64) -> Option<Self> {
+    fn renewed(&self, accepted: &Hypothesis, _settled: bool, _seed: u64) -> Option<Self> {
         let fit = &accepted.fit;
         let again = reweight_pictures(self.clone().whitened(fit), fit, self);
         let own = |s: &Self| s.pictures().map_or(1.0, Pictures::independent_variance_share);

@@ -1,6 +1,6 @@
 //! `wcal stereo-shape SESSION`: shapes of the poses that a session pictured, written into it.
 
-use super::{PairCounts, Shaper, StereoShapeArgs, judged, put_results};
+use super::shaper::{PairCounts, Shaper, StereoShapeArgs, judged, put_results};
 use crate::output::OutputFolder;
 use anyhow::{Context, Result, bail, ensure};
 use std::path::Path;

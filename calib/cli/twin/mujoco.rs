@@ -1,6 +1,6 @@
 //! MuJoCo's labels at a session's poses: other equilibria, the error against the session's labels and against the rod.
 
-use super::{Text, of_trajectory, row};
+use super::rows::{Text, of_trajectory, row};
 use crate::progress::Progress;
 use nalgebra::Vector3;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -5,6 +5,7 @@
 //! frame: R. L. Bishop, Amer. Math. Monthly 82, 1975).
 
 use crate::error::RodError;
+use crate::se3::{Pose, matrix_of, rows_of, step};
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 use wcal_core::observation::RestShape;
 
@@ -143,10 +144,23 @@ impl Shape {
             s += length;
         }
         let mut shape = Self { intervals, length_mm: s, root, nodes_mm: Vec::new(), frames: Vec::new() };
-        let (nodes, frames) = crate::kirchhoff::integrate::unloaded(&shape);
-        shape.nodes_mm = nodes;
-        shape.frames = frames;
+        (shape.nodes_mm, shape.frames) = shape.rest_curve();
         shape
+    }
+
+    /// Points and frames at the interval ends: g' = g (u0, e1) from the root on.
+    fn rest_curve(&self) -> (Vec<Vector3<f64>>, Vec<Matrix3<f64>>) {
+        let mut g = Pose { frame: rows_of(&self.root), position: [0.0; 3] };
+        let (mut nodes, mut frames) = (vec![Vector3::zeros()], vec![self.root]);
+        for (j, interval) in self.intervals.iter().enumerate() {
+            let last = j + 1 == self.intervals.len();
+            let h = if last { self.length_mm - interval.start_mm } else { interval.length_mm };
+            let u = |offset: f64| [0, 1, 2].map(|i| interval.u_start[i] + interval.u_slope[i] * offset);
+            g = step(h, &g, |offset, _| (u(offset), [1.0, 0.0, 0.0]));
+            nodes.push(Vector3::from(g.position));
+            frames.push(matrix_of(&g.frame));
+        }
+        (nodes, frames)
     }
 
     /// The same wire with `by_mm` more beyond its tip, at the rest curvature of its last end: smooth functions of the wire go on there.
@@ -163,7 +177,7 @@ impl Shape {
             u_slope: [0.0; 3],
         }));
         shape.length_mm += by_mm;
-        (shape.nodes_mm, shape.frames) = crate::integrate::unloaded(&shape);
+        (shape.nodes_mm, shape.frames) = shape.rest_curve();
         shape
     }
 
@@ -171,7 +185,7 @@ impl Shape {
     pub fn turned(&self, turn: &Rotation3<f64>) -> Self {
         let mut shape = self.clone();
         shape.root = turn.matrix() * self.root;
-        (shape.nodes_mm, shape.frames) = crate::kirchhoff::integrate::unloaded(&shape);
+        (shape.nodes_mm, shape.frames) = shape.rest_curve();
         shape
     }
 

@@ -1,7 +1,7 @@
 //! Sessions of kind "axis": commanded against measured position.
 
 use crate::error::{InputError, SessionError};
-use crate::row::{PointNumbers, clock_problem};
+use crate::row::{PointNumbers, Row, clock_problem};
 use crate::screening::{contradiction, copied, overflow};
 use crate::table::read_own;
 use crate::warning::SessionWarning;
@@ -23,12 +23,11 @@ pub(crate) fn read_rows(
     let known = [&["t_s", "direction", "temperature_degc"][..], &group].concat();
     warnings.extend(unknown_columns(name, table.others(&required, &known)?));
     let mut points = PointNumbers::default();
-    for row in table.by_name() {
+    for row in Row::all(&table) {
         points.note(&row, row.point()?)?;
     }
     let mut out = vec![false; table.rows.len()];
-    let set: Vec<[f64; 2]> = table
-        .by_name()
+    let set: Vec<[f64; 2]> = Row::all(&table)
         .map(|row| Ok([row.required("commanded_mm")?, row.required("measured_mm")?]))
         .collect::<Result<_, InputError>>()?;
     // A column that holds something else is named as that before its single values are judged.
@@ -36,7 +35,7 @@ pub(crate) fn read_rows(
     warnings.extend(overflow(&table, [&["commanded_mm"], &["measured_mm", "temperature_degc"]], &mut out)?);
     warnings.extend(copied(&table, Some("measured_mm"), &mut out)?);
     let mut rows = Vec::new();
-    for row in table.by_name().filter(|row| !out[row.index]) {
+    for row in Row::all(&table).filter(|row| !out[row.index]) {
         rows.push(AxisRow {
             source: name.to_owned(),
             line: row.line,

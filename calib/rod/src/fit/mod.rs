@@ -14,9 +14,10 @@ mod model;
 mod problem;
 
 use crate::RodError;
+pub use lines::MeasuredShape;
 use lines::{GuessedShape, distances, loaded_nodes};
 pub use model::RestModel;
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector};
 use problem::solve;
 use wcal_core::observation::{RestShape, WhiskerSpec};
 
@@ -35,21 +36,6 @@ pub enum RestChoice {
     /// Either, by BIC.
     #[default]
     Best,
-}
-
-/// A measured centre line.
-#[derive(Debug, Clone, PartialEq)]
-pub struct MeasuredShape {
-    /// Name of the pair.
-    pub name: String,
-    /// Points from the root to the tip, base frame, mm.
-    pub centreline_mm: Vec<Vector3<f64>>,
-    /// Standard deviation across the line, one a point, mm.
-    pub sd_mm: Vec<f64>,
-    /// Length and its standard deviation, mm.
-    pub length_mm: [f64; 2],
-    /// The wire's centre in the groove, base frame, mm, and its arc length, mm; none for a free wire.
-    pub groove: Option<(Vector3<f64>, f64)>,
 }
 
 /// What a shape leaves over.

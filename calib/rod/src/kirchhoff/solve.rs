@@ -9,8 +9,9 @@
 
 use crate::RodError;
 use crate::dual::{Dual3, Scalar, V3, cross};
-use crate::kirchhoff::integrate::{Load, MomentTable, Pose, matrix_of, rows_of, to_arclength};
+use crate::kirchhoff::integrate::{Load, MomentTable, to_arclength};
 use crate::material::Section;
+use crate::se3::{self, Pose, matrix_of, rows_of};
 use crate::shape::Shape;
 use nalgebra::{Matrix3, Matrix4, Rotation3, Vector3, Vector4};
 use wcal_core::observation::WhiskerSpec;
@@ -170,7 +171,7 @@ impl Rod {
         let m = cross(&load.point, &load.force);
         let turn: V3<T> =
             [0, 1, 2].map(|i| m[i].scale(self.compliance_rad_per_nmm * self.compliance_axes[i]));
-        let turned = crate::kirchhoff::integrate::turn(&turn, &frame);
+        let turned = se3::turn(&turn, &frame);
         Pose { frame: turned, position }
     }
 

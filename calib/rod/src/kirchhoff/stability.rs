@@ -7,8 +7,9 @@
 //! Struct. 47 (2010).
 
 use crate::dual::{Dual3, Scalar};
-use crate::kirchhoff::integrate::{Load, matrix_of, to_arclength};
+use crate::kirchhoff::integrate::{Load, to_arclength};
 use crate::kirchhoff::solve::{Equilibrium, Guess, Rod};
+use crate::se3::matrix_of;
 use crate::shape::{Interval, Shape};
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, Vector3};
 

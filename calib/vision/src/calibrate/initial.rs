@@ -10,7 +10,7 @@
 
 use crate::calibrate::bundle::{BoardView, BundleState, Free, residuals, solve};
 use crate::camera::Camera;
-use crate::camera::lens::{Lens, MAX_COEFFICIENTS};
+use crate::camera::{Lens, MAX_COEFFICIENTS};
 use crate::error::{OpenCvContext, VisionError};
 use crate::rigid::pose_from_parts;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Vector2, Vector3};

@@ -8,7 +8,8 @@ use crate::calibrate::noise::GridPlace;
 use crate::error::{OpenCvContext, VisionError};
 use crate::homography::{homography, mapped};
 use crate::picture::Picture;
-use crate::tags::detection::{Search, Tag, find_tags, tag_corners};
+use crate::tags::detection::{Search, Tag, find_tags};
+use crate::tags::tag_corners;
 use nalgebra::{Vector2, Vector3};
 use opencv::aruco::{
     CharucoBoard, Dictionary, detect_markers_def, get_predefined_dictionary_i32,

@@ -11,7 +11,7 @@ use crate::calibrate::document::{HeldOut, RejectedView};
 use crate::calibrate::initial::{
     Corners, MonoEstimate, both_rms, calibrate_alone, consensus, median, view_rms,
 };
-use crate::camera::lens::Lens;
+use crate::camera::Lens;
 use crate::error::VisionError;
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;

@@ -3,6 +3,7 @@
 use super::clock::BenchClock;
 use super::faults::{Fault, ScheduledFault};
 use super::link::{Cable, ReplyFault, UnsolicitedTraffic};
+use super::lock::guard;
 use super::plant::{Physics, Plant};
 use super::scenario::{CameraScenario, Scenario};
 use super::scene::Scene;
@@ -103,11 +104,6 @@ pub struct BenchState {
     never_accepts: AtomicBool,
     garbage: AtomicBool,
     stop: AtomicBool,
-}
-
-pub(super) fn guard<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A panicked server thread must not take the bench down.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl BenchState {

@@ -1,8 +1,7 @@
 //! A chain of units on one port: checked replies, message ids, checksums, and repeated questions.
 
-use super::wire::{Connect, Port, Wire};
+use super::wire::{Connect, Port, Wire, not_opened};
 use crate::link::CONNECT;
-use crate::trouble;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt};
@@ -160,7 +159,7 @@ impl Chain {
         self.close();
         let deadline = Deadline::after(CONNECT, &self.interrupt);
         let link = (self.connect)(&self.place, &deadline)
-            .map_err(|e| trouble::of_port(&self.name, &self.place, &e, &deadline))?;
+            .map_err(|e| not_opened(&self.name, &self.place, &e, &deadline))?;
         let wire = Wire::over(link, self.name.clone(), deadline);
         let mut port = AsciiPort::open_general_options().checksums(true).message_ids(true).open(wire);
         // Alerts may come at any time; state is always asked for, so they carry nothing new.

@@ -25,6 +25,7 @@ pub type Twist<T> = (V3<T>, V3<T>);
 fn exp_coefficients<T: Scalar>(squared: T) -> (T, T, T) {
     const FACTORIAL: [f64; 8] =
         [1.0, 6.0, 120.0, 5040.0, 362_880.0, 39_916_800.0, 6_227_020_800.0, 1_307_674_368_000.0];
+    // Horner from the highest term: near t = 0 the quotients themselves would be 0 / 0.
     let x = squared;
     let mut a = T::constant(-1.0 / FACTORIAL[7]);
     let mut b = T::constant(-1.0 / (FACTORIAL[7] * 16.0));
@@ -48,8 +49,10 @@ fn advance<T: Scalar>(g: &Pose<T>, (w, v): &Twist<T>) -> Pose<T> {
     let diagonal = |i: usize| one - b * (squared - w[i] * w[i]);
     let (xy, xz, yz) = (b * w[0] * w[1], b * w[0] * w[2], b * w[1] * w[2]);
     let (ax, ay, az) = (a * w[0], a * w[1], a * w[2]);
+    // Rodrigues' formula: 1 + a [w] + b [w]^2.
     let rotation =
         [[diagonal(0), xy - az, xz + ay], [xy + az, diagonal(1), yz - ax], [xz - ay, yz + ax, diagonal(2)]];
+    // The place moves along an arc, not along its chord: left Jacobian of the rotation.
     let wv = cross(w, v);
     let wwv = cross(w, &wv);
     let shift = [0, 1, 2].map(|i| v[i] + b * wv[i] + c * wwv[i]);
@@ -59,6 +62,7 @@ fn advance<T: Scalar>(g: &Pose<T>, (w, v): &Twist<T>) -> Pose<T> {
 /// k = xi + [Omega, xi]/2 + [Omega, [Omega, xi]]/12, enough for fourth order.
 #[inline(always)]
 fn dexp_inverse<T: Scalar>(omega: &Twist<T>, xi: &Twist<T>) -> Twist<T> {
+    // Bracket of se(3): [(w, v), (w', v')] = (w x w', w x v' - w' x v).
     let bracket = |a: &Twist<T>, b: &Twist<T>| -> Twist<T> {
         (cross(&a.0, &b.0), sub(&cross(&a.0, &b.1), &cross(&b.0, &a.1)))
     };
@@ -81,6 +85,7 @@ pub fn step<T: Scalar>(h: f64, g: &Pose<T>, twist: impl Fn(f64, &Pose<T>) -> Twi
     let k3 = dexp_inverse(&half, &twist(0.5 * h, &advance(g, &half)));
     let full = times(&k3, h);
     let k4 = dexp_inverse(&full, &twist(h, &advance(g, &full)));
+    // Weights 1, 2, 2, 1 over 6.
     let mix = |a: &V3<T>, b: &V3<T>, c: &V3<T>, d: &V3<T>| {
         [0, 1, 2].map(|i| (a[i] + (b[i] + c[i]).scale(2.0) + d[i]).scale(h / 6.0))
     };

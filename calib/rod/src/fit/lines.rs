@@ -53,6 +53,7 @@ pub(super) fn loaded_nodes(
         let nodes = ends.zip(positions).zip(frames).map(|((s, p), f)| (s, turn * p + offset, turn * f));
         return Ok((nodes.collect(), None));
     };
+    // In the wire's frame the clamp is straight and the groove moves instead.
     let point = turn.inverse() * (point - offset);
     let solve = |at: &Vector3<f64>, guess: &Guess| rod.solve(at, guess, Tangential::Frictionless);
     let near = held.guess.and_then(|guess| solve(&point, &guess).ok());
@@ -109,6 +110,7 @@ fn on_curve(nodes: &[(f64, Vector3<f64>, Matrix3<f64>)], s_mm: f64) -> (Vector3<
     let after = nodes.partition_point(|n| n.0 < s_mm).clamp(1, nodes.len() - 1);
     let ((s0, p0, f0), (s1, p1, f1)) = (&nodes[after - 1], &nodes[after]);
     let h = s1 - s0;
+    // Straight on beyond the ends: a measured point past the tip has a distance, too.
     if s_mm < *s0 {
         return (p0 + f0.column(0) * (s_mm - s0), *f0);
     }

@@ -46,6 +46,7 @@ fn twist_at<T: Scalar>(
     load: &Load<T>,
 ) -> Twist<T> {
     let s = interval.start_mm + offset_mm;
+    // Moment about s of what acts beyond s: (P - r) x F + M_w(s).
     let mut moment = cross(&sub(&load.point, &g.position), &load.force);
     if let Some(table) = load.distributed {
         let extra = table.at(s);
@@ -53,6 +54,7 @@ fn twist_at<T: Scalar>(
             moment[i] = moment[i] + T::constant(extra[i]);
         }
     }
+    // Constitutive law in body axes; the inextensible wire goes along e1.
     let body = mat_t_vec(&g.frame, &moment);
     let du = section.curvature_change(&body, section.taper_factor(s / length_mm));
     let u = [0, 1, 2].map(|i| du[i] + T::constant(interval.u_start[i] + interval.u_slope[i] * offset_mm));

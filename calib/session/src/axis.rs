@@ -7,6 +7,7 @@ use crate::table::read_own;
 use crate::warning::SessionWarning;
 use crate::whisker::unknown_columns;
 use std::path::Path;
+use wcal_core::order_statistics::median;
 use wcal_core::{AxisRow, InputFile, Purpose};
 
 /// Reads a table.
@@ -66,14 +67,11 @@ fn slope(rows: &[[f64; 2]]) -> Option<f64> {
     let half = rows.len().div_ceil(2);
     // Each reading with the next and with one half a table away: short and long steps.
     let pairs = (0..rows.len()).flat_map(|k| [k + 1, k + half].map(|j| (&rows[k], rows.get(j))));
-    let mut slopes: Vec<f64> = pairs
-        .filter_map(|(a, b)| {
-            let (x, y) = (b?[0] - a[0], b?[1] - a[1]);
-            (x.abs() > MIN_STEP * (high - low) && x != 0.0).then_some(y / x)
-        })
-        .collect();
-    slopes.sort_by(f64::total_cmp);
-    slopes.get(slopes.len() / 2).copied()
+    let slopes = pairs.filter_map(|(a, b)| {
+        let (x, y) = (b?[0] - a[0], b?[1] - a[1]);
+        (x.abs() > MIN_STEP * (high - low) && x != 0.0).then_some(y / x)
+    });
+    median(slopes)
 }
 
 /// The declared model is measured = commanded + constant, so their slope is close to 1. Another one is a unit (um, m, inch, cm), a sense of

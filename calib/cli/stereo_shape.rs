@@ -6,7 +6,7 @@ mod shaper;
 
 use crate::output::{OutputFolder, ResultKind, unsaid};
 pub use shaper::StereoShapeArgs;
-use shaper::{PairCounts, Shaper, judged, put_results};
+use shaper::{PairCounts, Shaper, put_results, report_pairs};
 use std::path::Path;
 use std::process::ExitCode;
 use wcal_vision::pairs::{list_pictures, pair_files};
@@ -40,7 +40,7 @@ pub fn run(args: &StereoShapeArgs) -> anyhow::Result<ExitCode> {
     if args.json {
         println!("{text}");
     }
-    let PairCounts { good, clean } = judged(&result);
+    let PairCounts { good, clean } = report_pairs(&result);
     let place = args.out.clone().unwrap_or_default().join("shapes.json");
     anyhow::ensure!(
         good > 0,

@@ -357,7 +357,10 @@ fn add_rows(
         let event = &events[window.event];
         let stream = match window.late || unaligned {
             true => Stream::Late,
-            false if event.kind == "window" && track.left(event.target_mm, window.begin_s, window.end_s) => {
+            false
+                if event.kind == "window"
+                    && track.has_left(event.target_mm, window.begin_s, window.end_s) =>
+            {
                 Stream::Moved
             }
             false if missing_share(&window, lost) > MAX_MISSING => Stream::Lost,

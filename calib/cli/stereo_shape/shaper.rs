@@ -128,7 +128,7 @@ pub(super) struct PairCounts {
 }
 
 /// Says what was rejected and why.
-pub(super) fn judged(result: &ShapesResult) -> PairCounts {
+pub(super) fn report_pairs(result: &ShapesResult) -> PairCounts {
     let document = &result.document;
     if document.provenance.simulated {
         eprintln!("stereo-shape: SIMULATED: the pictures are rendered, not taken");

@@ -329,7 +329,7 @@ impl World {
     }
 
     /// Trajectory, depth of the groove (mm), and whether stage or mount move.
-    pub fn seen(&self, t_s: f64, scenario: &Scenario) -> (u32, f64, bool) {
+    pub fn camera_view(&self, t_s: f64, scenario: &Scenario) -> (u32, f64, bool) {
         let (stage_mm, trajectory) = self.place(t_s, scenario);
         let moving = self.units.iter().any(|u| u.axis.at(t_s).1 != 0.0);
         (trajectory, self.physics.groove_mm(stage_mm), moving)

@@ -296,7 +296,7 @@ impl Chain {
     fn open_port(&mut self, command: &str) -> Result<&mut AsciiPort<'static, Wire>, DeviceError> {
         let error = || {
             let (kind, expected) = (DeviceErrorKind::Disconnected, "a link to the unit");
-            DeviceError::new(kind, &self.name, shown(command), expected, "a port that is closed")
+            DeviceError::new(kind, &self.name, command_name(command), expected, "a port that is closed")
         };
         self.port.as_mut().ok_or_else(error)
     }
@@ -375,7 +375,7 @@ impl Chain {
         let kind = match error {
             // In a flood the deadline falls into the middle of a line.
             e if e.is_timeout() || deadline.is_over() && !e.is_io() => {
-                return deadline.error(&self.name, shown(command), "a reply", &passed.text());
+                return deadline.error(&self.name, command_name(command), "a reply", &passed.text());
             }
             AsciiError::Io(_) | AsciiError::SerialDeviceInUseOrDisconnected(_) => {
                 DeviceErrorKind::Disconnected
@@ -386,12 +386,12 @@ impl Chain {
     }
 
     fn error(&self, kind: DeviceErrorKind, command: &str, expected: &str, found: &str) -> DeviceError {
-        DeviceError::new(kind, &self.name, shown(command), expected, found)
+        DeviceError::new(kind, &self.name, command_name(command), expected, found)
     }
 }
 
 /// A command for people: the empty one asks for the state.
-fn shown(command: &str) -> &str {
+fn command_name(command: &str) -> &str {
     if command.is_empty() { "poll" } else { command }
 }
 

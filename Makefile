@@ -24,11 +24,12 @@ demo: program
 	./target/release/wcal demo --out demo-out
 
 # What keeps time (a bench, a stream) leaves the machine mostly idle and must not wait for it: all else runs beside it with the lowest
-# priority. tests/contracts/layering.rs holds that no test is left out of both.
+# priority. tests/contracts/layering.rs holds that no test is left out of both. Examples are not linked here: `make check` compiles them.
 test: setup
 	cargo fmt --all --check
-	cargo test --workspace --locked --no-run
-	@nice -n 19 cargo test --workspace --locked -- --skip keeps_time:: >target/test.log 2>&1 & beside=$$!; \
+	cargo test --workspace --locked --tests --no-run
+	@{ nice -n 19 cargo test --workspace --locked --tests -- --skip keeps_time:: && \
+	nice -n 19 cargo test --workspace --locked --doc; } >target/test.log 2>&1 & beside=$$!; \
 	cargo test --workspace --locked --test live --test drivers -- keeps_time::; first=$$?; \
 	wait $$beside; second=$$?; cat target/test.log; test $$first = 0 && test $$second = 0
 

@@ -70,11 +70,14 @@ const SWEEP: Recording = recording!(
 /// Title of the first page, by which an earlier demonstration is told.
 const TITLE: &str = "wcal demo";
 
-/// Runs the command.
+/// Runs a command line of the program.
+type RunWords = fn(&[&str]) -> anyhow::Result<ExitCode>;
+
+/// Runs the command; its own commands by `run_words`.
 ///
 /// # Errors
 /// A file that cannot be written.
-pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
+pub fn run(args: &DemoArgs, run_words: RunWords) -> anyhow::Result<ExitCode> {
     let names: Vec<&str> = RECORDINGS.iter().chain([&SWEEP]).map(|r| r.name).collect();
     let own = ResultKind {
         command: "demo",
@@ -109,7 +112,7 @@ pub fn run(args: &DemoArgs) -> anyhow::Result<ExitCode> {
         print_text(&report, &out);
         entries.push(IndexEntry::of(&report, format!("{}/report.html", r.name)));
     }
-    track_bottle(&args.out)?;
+    track_bottle(&args.out, run_words)?;
     drop(progress);
     println!("report: {}", write_index(&args.out, &entries)?.display());
     Ok(ExitCode::SUCCESS)
@@ -126,7 +129,7 @@ fn write_session(place: &Path, r: &Recording) -> anyhow::Result<PathBuf> {
 }
 
 /// The contacts of the measured sweep, through the map of the 27 measured poses: as anybody would make them, by the program's own commands.
-fn track_bottle(place: &Path) -> anyhow::Result<()> {
+fn track_bottle(place: &Path, run_words: RunWords) -> anyhow::Result<()> {
     let at = |name: &str| place.join(name).display().to_string();
     let (session, map, sweep) = (at("whiskerfbg/session"), at("bottle/map"), at("bottle/session"));
     let (calibration, track) = (at("bottle/map/calibration.json"), at("bottle/track.csv"));
@@ -135,7 +138,7 @@ fn track_bottle(place: &Path) -> anyhow::Result<()> {
     let locate = ["wcal", "track", &sweep, "--calibration", &calibration, "--out", &track, "--force"];
     for command in [&fit[..], &locate] {
         eprintln!("{} ...", command.join(" "));
-        crate::run_words(command)?;
+        run_words(command)?;
     }
     Ok(())
 }

@@ -24,7 +24,7 @@ use crate::progress::Progress;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use common_errors::moved_by_shared;
-use document::{Geometry, Root, WhiskerDocument, curvature, described, rest_models};
+use document::{Geometry, Root, SHEAR_GPA, WhiskerDocument, YOUNGS_GPA, curvature, described, rest_models};
 use dynamics::{DynamicsArgs, dynamics};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
@@ -39,9 +39,6 @@ use wcal_mujoco::mjcf::{MjcfOptions, mjcf};
 use wcal_rod::{MeasuredShape, RestFit, fit_rest};
 use wcal_vision::rig::{Rig, RigWhisker};
 
-/// Elastic moduli of NiTi, GPa: only their ratio bears on a held wire's shape, and little.
-const YOUNGS_GPA: f64 = 75.0;
-const SHEAR_GPA: f64 = 28.2;
 /// Residual over stated deviation past which straight part, arc and frictionless groove do not describe the lines.
 const DOUBTFUL: f64 = 3.0;
 

@@ -102,7 +102,7 @@ fn dispatch(asked: &Command) -> anyhow::Result<ExitCode> {
         Command::Verify(args) => verify::run(args),
         Command::FitGpr(args) => fit_gpr::run(args),
         Command::Predict(args) => predict::run(args),
-        Command::Demo(args) => demo::run(args),
+        Command::Demo(args) => demo::run(args, run_words),
         Command::Import(args) => import::run(args),
         Command::StereoCalibrate(args) => stereo_calibrate::run(args),
         Command::StereoShape(args) => stereo_shape::run(args),

@@ -11,7 +11,7 @@ use std::process::ExitCode;
 use wcal_vision::calibrate::board::{Board, Pattern, TagOrder};
 use wcal_vision::calibrate::chessboard::BoardSize;
 use wcal_vision::calibrate::folders::calibrate_folders;
-use wcal_vision::camera::lens::{Lens, OPENCV5, lens_named, lenses};
+use wcal_vision::camera::{Lens, OPENCV5, lens_named, lenses};
 use wcal_vision::pairs::list_pictures;
 
 /// Names of all patterns.

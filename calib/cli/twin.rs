@@ -1,17 +1,18 @@
 //! `wcal twin`: the twin's base moments at a session's poses.
 
 mod mujoco;
+mod rows;
 
 use crate::output::{Overwrite, check_file, write_file};
 use crate::progress::Progress;
 use crate::session_folder::expect_session;
 use anyhow::bail;
 use clap::{Args, ValueEnum};
-use nalgebra::Vector3;
+use rows::{Text, of_trajectory, row};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use wcal_core::{Role, SessionData, WhiskerData, WhiskerRow};
+use wcal_core::{Role, SessionData, WhiskerData};
 use wcal_mujoco::groove;
 use wcal_rod::{Line, Outcome, Rod, WORKING_STEP_MM};
 use wcal_session::load;
@@ -115,18 +116,6 @@ pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::from(3))
 }
 
-/// A row's text behind the point, and whether its moment is certain.
-type Text = Option<(String, bool)>;
-
-/// Rows of a trajectory with their stage positions, in order of travel.
-fn of_trajectory(data: &WhiskerData, id: u32) -> Vec<(usize, f64)> {
-    let of_it = |row: &WhiskerRow| row.role != Role::Rest && row.trajectory == Some(id);
-    (0..data.rows.len())
-        .filter(|&k| of_it(&data.rows[k]))
-        .filter_map(|k| data.rows[k].stage_mm.map(|x| (k, x)))
-        .collect()
-}
-
 fn by_rod(data: &WhiskerData) -> anyhow::Result<Vec<Text>> {
     let rod = Rod::new(&data.whisker, WORKING_STEP_MM)?;
     let mut lines: Vec<Text> = vec![None; data.rows.len()];
@@ -152,10 +141,4 @@ fn by_rod(data: &WhiskerData) -> anyhow::Result<Vec<Text>> {
         }
     }
     Ok(lines)
-}
-
-fn row(data: &WhiskerData, moment: &Vector3<f64>, at_mm: Option<f64>, branch: &str, settled: bool) -> String {
-    let moment = data.moments.components_nmm(moment);
-    let at = at_mm.map_or_else(String::new, |s| format!("{s:.6}"));
-    format!("{:.9},{:.9},{at},{branch},{settled}", moment[0], moment[1])
 }

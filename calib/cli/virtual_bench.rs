@@ -4,7 +4,7 @@ mod scene;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use scene::{BenchScene, ScenePath};
+use scene::{BenchScene, REACH, ScenePath};
 use std::io::{BufRead, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -88,8 +88,6 @@ pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Deepest push that is tabulated, as a share of the contact's arc length; the paper's go to 0.29.
-const REACH: f64 = 0.4;
 /// Chebyshev points a piece of a table.
 const NODES: usize = 14;
 

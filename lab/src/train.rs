@@ -9,7 +9,7 @@ use crate::model_file::put_weights;
 use crate::network::TrainableNet;
 use crate::sweep_series::SweepSeries;
 use burn::module::Module;
-use burn::optim::{AdamWConfig, GradientsParams, ModuleOptimizer};
+use burn::optim::{AdamWConfig, GradientsParams};
 use burn::tensor::{Device, Tensor};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
@@ -27,6 +27,7 @@ mod sensor_errors;
 pub(crate) mod settings;
 mod window;
 
+use checkpoint::State;
 use loss::loss;
 pub(crate) use sensor_errors::{SensorErrors, uniform};
 pub use settings::{Pass, TRAINING_RANGES, TrainSettings, best};
@@ -44,14 +45,6 @@ pub struct TrainingData<'a> {
     pub meshes: &'a BTreeMap<String, Mesh>,
     /// Folder of a model with whose weights to begin.
     pub from: Option<&'a Path>,
-}
-
-/// Where a training stands after a pass.
-struct State {
-    net: TrainableNet,
-    best: TrainableNet,
-    optimizer: ModuleOptimizer,
-    passes: Vec<Pass>,
 }
 
 /// Trains a network and gives the best one on the held-out objects, with the learning curve; `on_pass` gets every pass. With a folder it

@@ -7,14 +7,12 @@ use crate::model_file::{Card, Split, network_grid, preset, read_card, runnable, 
 use crate::score::{EstimateError, calibrated, calibrating_factor};
 use crate::sweep_series;
 use crate::sweep_series::SweepSeries;
-use crate::train::{Pass, TrainSettings, TrainingData, train};
+use crate::train::{Pass, TrainingData, train};
 use burn::tensor::Device;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use wcal_core::observation::WhiskerSpec;
 use wcal_lab_sweeps::objects::TEST_NAMES;
-use wcal_sim::Mesh;
 use wcal_track::Tracker;
 use wcal_track::filter::{BayesSettings, FilterBank};
 use wcal_track::inverse::StaticInverse;
@@ -23,40 +21,13 @@ use wcal_track::network::NetworkConfig;
 use wcal_track::sd_factors::SdFactors;
 
 pub(crate) mod cost;
+mod request;
 mod shifted_sweeps;
 
 use cost::Stopwatch;
 pub use cost::{Seconds, TrainingCost};
+pub use request::TrainingRequest;
 use shifted_sweeps::on_shifted_sensors;
-
-/// What is made of what.
-#[derive(Debug, Clone)]
-pub struct TrainingRequest<'a> {
-    /// Folder of shards.
-    pub sweeps: &'a Path,
-    /// Other folders: sweeps with other physics or seeds over the same objects, which are trained on only.
-    pub additional: &'a [PathBuf],
-    /// The objects' meshes, where they are known.
-    pub meshes: &'a BTreeMap<String, Mesh>,
-    /// Folder of a model with which to begin.
-    pub from: Option<&'a Path>,
-    /// Whisker of the sweeps.
-    pub whisker: WhiskerSpec,
-    /// What making the sweeps took, where the same command made them.
-    pub sweeps_cost: Option<Seconds>,
-    /// The command as it was typed.
-    pub command: Vec<String>,
-    /// compact or paper.
-    pub preset: &'a str,
-    /// How it is trained.
-    pub settings: TrainSettings,
-    /// Objects held out, and kept unseen; an eighth of all where it is not given.
-    pub held_out: Option<usize>,
-    /// See `held_out`.
-    pub unseen: Option<usize>,
-    /// Folder for model and checkpoint.
-    pub out: &'a Path,
-}
 
 /// Share of the sweeps over an object that are trained on; the rest judges objects that were seen.
 const TRAINED: f64 = 0.9;

@@ -18,7 +18,7 @@ use wcal_core::shapes_document::{ErrorColumn, PairDocument, ShapesDocument};
 use wcal_vision::calibrate::board::board_points;
 use wcal_vision::calibrate::bundle::{BoardView, BundleState, Free, solve};
 use wcal_vision::camera::Camera;
-use wcal_vision::camera::lens::OPENCV5;
+use wcal_vision::camera::OPENCV5;
 use wcal_vision::pairs::PairFiles;
 use wcal_vision::rig::Rig;
 use wcal_vision::shape::folder::shapes_of_pairs;

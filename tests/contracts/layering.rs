@@ -99,7 +99,7 @@ fn violations(graph: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
     out
 }
 
-fn metadata() -> serde_json::Value {
+pub fn metadata() -> serde_json::Value {
     let out = Command::new(env!("CARGO"))
         .args(["metadata", "--format-version", "1", "--no-deps"])
         .current_dir(env!("CARGO_MANIFEST_DIR"))
@@ -301,14 +301,15 @@ fn targets_that_keep_time() -> BTreeSet<String> {
     found
 }
 
-/// `make test` has two runs: tests that keep time by their targets, and all tests but these by the name of their module.
+/// `make test` has two runs: tests that keep time by their targets, and all tests but these by the name of their module, those in
+/// documentation with them.
 fn left_out_of_both(makefile: &str, keep_time: &BTreeSet<String>) -> Vec<String> {
     let runs: Vec<&str> =
         makefile.lines().filter(|l| l.contains("cargo test --workspace --locked")).collect();
-    assert!(
-        runs.iter().any(|l| l.contains("cargo test --workspace --locked -- --skip keeps_time::")),
-        "{runs:?}"
-    );
+    for all_but_these in ["--tests -- --skip keeps_time::", "--doc"] {
+        let run = format!("cargo test --workspace --locked {all_but_these}");
+        assert!(runs.iter().any(|l| l.contains(&run)), "{run}: {runs:?}");
+    }
     let first = runs.iter().find(|l| l.contains("--test live")).expect("the first run");
     keep_time.iter().filter(|name| !first.contains(&format!("--test {name}"))).cloned().collect()
 }

@@ -9,6 +9,7 @@
 )]
 
 mod docs;
+mod file_circles;
 mod layering;
 mod readme;
 mod results;

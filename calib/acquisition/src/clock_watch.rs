@@ -13,6 +13,7 @@
 
 use std::fmt;
 use wcal_core::device::{DeviceError, DeviceErrorKind};
+use wcal_core::order_statistics::median;
 
 /// Smallest step that is named, s: what an alignment of clocks tolerates.
 const STEP_S: f64 = 0.02;
@@ -184,9 +185,7 @@ impl ClockWatch {
             None => {
                 self.first_periods.push(rise_s / scans);
                 if self.first_periods.len() == LEARNED {
-                    let middle = LEARNED / 2;
-                    self.period_s =
-                        Some(*self.first_periods.select_nth_unstable_by(middle, f64::total_cmp).1);
+                    self.period_s = median(self.first_periods.iter().copied());
                 }
             }
         }

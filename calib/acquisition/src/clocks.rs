@@ -13,6 +13,7 @@
 //! stream that falls behind for half a recording would tilt it.
 
 use wcal_core::clock::late_s;
+use wcal_core::order_statistics::mad_sd;
 
 /// Pairs are thinned to the best of each interval of this length, s.
 const INTERVAL_S: f64 = 1.0;
@@ -186,14 +187,9 @@ fn upper_line(points: &[(f64, f64)], middle: f64) -> (f64, f64) {
 
 /// Scatter of neighbouring pairs by their second differences, in which a piecewise linear course of the clock cancels.
 fn scatter(points: &[(f64, f64)]) -> f64 {
-    /// Median absolute value to standard deviation of a normal distribution; a second difference has the variance 1 + 4 + 1.
-    const MEDIAN_TO_SD: f64 = 1.4826;
-    let mut second: Vec<f64> = points.windows(3).map(|w| (w[0].1 - 2.0 * w[1].1 + w[2].1).abs()).collect();
-    if second.is_empty() {
-        return 0.0;
-    }
-    let middle = second.len() / 2;
-    MEDIAN_TO_SD * *second.select_nth_unstable_by(middle, f64::total_cmp).1 / 6_f64.sqrt()
+    let second = points.windows(3).map(|w| w[0].1 - 2.0 * w[1].1 + w[2].1);
+    // A second difference has the variance 1 + 4 + 1.
+    mad_sd(second, 0.0).map_or(0.0, |sd| sd / 6_f64.sqrt())
 }
 
 #[cfg(test)]

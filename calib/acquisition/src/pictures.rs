@@ -30,7 +30,7 @@ const PREVIEW_QUALITY: u8 = 60;
 /// # Errors
 /// When the grey values are not those of the size.
 pub fn lossless(frame: &CameraFrame) -> Result<Vec<u8>, AcquisitionError> {
-    whole(frame)?;
+    check_whole(frame)?;
     let mut bytes = Vec::new();
     let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive);
     encoder
@@ -40,7 +40,7 @@ pub fn lossless(frame: &CameraFrame) -> Result<Vec<u8>, AcquisitionError> {
 }
 
 /// The encoders panic on a frame that was cut short; a camera may send one.
-fn whole(frame: &CameraFrame) -> Result<(), AcquisitionError> {
+fn check_whole(frame: &CameraFrame) -> Result<(), AcquisitionError> {
     let expected = u64::from(frame.width_px) * u64::from(frame.height_px);
     if frame.grey.len() as u64 == expected {
         return Ok(());
@@ -58,7 +58,7 @@ fn whole(frame: &CameraFrame) -> Result<(), AcquisitionError> {
 /// # Errors
 /// When the grey values are not those of the size.
 pub fn preview(frame: &CameraFrame) -> Result<Vec<u8>, AcquisitionError> {
-    whole(frame)?;
+    check_whole(frame)?;
     let block = frame.width_px.div_ceil(PREVIEW_WIDTH).max(1);
     let (width, height) = (frame.width_px / block, frame.height_px / block);
     let at = |x: u32, y: u32| frame.grey.get((y * frame.width_px + x) as usize).copied().unwrap_or(0);

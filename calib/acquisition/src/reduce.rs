@@ -4,7 +4,7 @@ use crate::assign::{Assigned, ChannelMap};
 use crate::clocks::{BROKEN_CLOCK, ClockFit, ClockPair};
 use crate::error::AcquisitionError;
 use crate::lag;
-use crate::message::{Scan, SweepEvent};
+use crate::message::{Scan, StagePosition, SweepEvent};
 use crate::pictures::{PartClocks, PicturedRow, write_pictures};
 use crate::replay::{Message, read};
 use crate::rig::Rig;
@@ -164,14 +164,23 @@ struct Window {
     late: bool,
 }
 
-fn reduce_part(
+/// What a recording holds beside the scans' wavelengths.
+struct Contents {
+    events: Vec<SweepEvent>,
+    stage: Vec<StagePosition>,
+    clocks: ClockPair,
+    sound: SoundClock,
+    cameras: BTreeMap<String, ClockFit>,
+    scans: u64,
+}
+
+/// First pass: events, stage positions, clocks.
+fn read_contents(
     path: &Path,
     rig: &Rig,
     origin_s: &mut Option<f64>,
-    rows: &mut Vec<Row>,
     result: &mut Reduction,
-) -> Result<PartClocks, AcquisitionError> {
-    // First pass: events, stage positions, clocks.
+) -> Result<Contents, AcquisitionError> {
     let scans_before = result.scans;
     let (mut events, mut stage, mut clocks) = (Vec::new(), Vec::new(), ClockPair::new(rig.clock_scale));
     let (mut next_serial, mut pictures, mut frames) = (None::<u64>, 0, 0);
@@ -217,6 +226,18 @@ fn reduce_part(
     let cameras: BTreeMap<String, ClockFit> =
         cameras.into_iter().filter_map(|(name, pair)| Some((name, pair.fit()?))).collect();
     result.camera_clocks.extend(cameras.iter().map(|(name, fit)| (name.clone(), *fit)));
+    Ok(Contents { events, stage, clocks, sound, cameras, scans: result.scans - scans_before })
+}
+
+fn reduce_part(
+    path: &Path,
+    rig: &Rig,
+    origin_s: &mut Option<f64>,
+    rows: &mut Vec<Row>,
+    result: &mut Reduction,
+) -> Result<PartClocks, AcquisitionError> {
+    let Contents { events, stage, clocks, sound, cameras, scans } =
+        read_contents(path, rig, origin_s, result)?;
     let (Some(fit), Some(origin_s)) = (clocks.fit(), *origin_s) else { return Ok(PartClocks::default()) };
     let origin_s = origin_s + add_clock(result, fit, rig.clock_scale);
     let track = Track::new(&stage, &fit, rig.stage.zero_mm);
@@ -225,7 +246,6 @@ fn reduce_part(
         let expected = "events of one sweep, whose windows hold a scan once";
         AcquisitionError::input(place, expected, found)
     };
-    let scans = result.scans - scans_before;
     let mut windows = windows_of(&events, scans).map_err(&foreign)?;
     windows.sort_by(|a, b| a.begin_s.total_cmp(&b.begin_s));
     // Second pass: samples into their windows.
@@ -337,7 +357,10 @@ fn add_rows(
         let event = &events[window.event];
         let stream = match window.late || unaligned {
             true => Stream::Late,
-            false if event.kind == "window" && track.left(event.target_mm, window.begin_s, window.end_s) => {
+            false
+                if event.kind == "window"
+                    && track.has_left(event.target_mm, window.begin_s, window.end_s) =>
+            {
                 Stream::Moved
             }
             false if missing_share(&window, lost) > MAX_MISSING => Stream::Lost,

@@ -24,7 +24,7 @@ impl Track {
     }
 
     /// Whether the stage moved in a settled window, or stood elsewhere than at `target_mm`, mm from its zero.
-    pub(crate) fn left(&self, target_mm: f64, begin_s: f64, end_s: f64) -> bool {
+    pub(crate) fn has_left(&self, target_mm: f64, begin_s: f64, end_s: f64) -> bool {
         let end_s = end_s - NEXT_MOVE_S.min((end_s - begin_s) / 4.0);
         let (from, to) =
             (self.points.partition_point(|p| p.0 < begin_s), self.points.partition_point(|p| p.0 <= end_s));
@@ -101,12 +101,12 @@ mod tests {
             Track { points, moving }
         };
         let standing = track(&|_| (3.001, false));
-        assert!(!standing.left(3.0, 0.5, 1.5), "control: within what an arrival may be off");
-        assert!(standing.left(2.9, 0.5, 1.5), "it stands elsewhere");
+        assert!(!standing.has_left(3.0, 0.5, 1.5), "control: within what an arrival may be off");
+        assert!(standing.has_left(2.9, 0.5, 1.5), "it stands elsewhere");
         let moved = track(&|t| if t < 1.0 { (3.0, false) } else { (3.2, false) });
-        assert!(moved.left(3.0, 0.5, 1.5) && !moved.left(3.0, 0.0, 0.9));
+        assert!(moved.has_left(3.0, 0.5, 1.5) && !moved.has_left(3.0, 0.0, 0.9));
         // It goes on to the next pose while the window's last scans come in.
         let next = track(&|t| if t < 1.48 { (3.0, false) } else { (3.1, true) });
-        assert!(!next.left(3.0, 0.5, 1.5));
+        assert!(!next.has_left(3.0, 0.5, 1.5));
     }
 }

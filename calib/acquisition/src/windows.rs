@@ -6,10 +6,10 @@
 //!
 //! Source: F. R. Hampel, "The Influence Curve and Its Role in Robust Estimation", J. Am. Stat. Assoc. 69 (1974) 383.
 
+use wcal_core::order_statistics::{mad_sd, median};
+
 /// A sample farther than this many robust standard deviations from the median is marked, not averaged.
 const OUTLIER_SIGMA: f64 = 8.0;
-/// Median absolute deviation to standard deviation of a normal distribution.
-const MAD_TO_SD: f64 = 1.4826;
 
 /// Samples of one window: scan number, reference and sensing gratings, nm.
 #[derive(Debug, Clone, Default)]
@@ -75,23 +75,14 @@ impl Samples {
 }
 
 fn mark(values: &[f64], marked: &mut [bool]) {
-    let centre = median(values.to_vec());
-    let deviation = median(values.iter().map(|v| (v - centre).abs()).collect());
+    let Some(centre) = median(values.iter().copied()) else { return };
     // Quantised data can have a deviation of zero: then no sample is marked.
-    let limit = OUTLIER_SIGMA * MAD_TO_SD * deviation;
+    let limit = OUTLIER_SIGMA * mad_sd(values.iter().copied(), centre).unwrap_or(0.0);
     if limit > 0.0 {
         for (value, mark) in values.iter().zip(marked) {
             *mark |= (value - centre).abs() > limit;
         }
     }
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    if values.is_empty() {
-        return f64::NAN;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 fn mean_sd(values: &[f64]) -> (f64, f64) {

@@ -33,7 +33,7 @@ pub trait Calibration {
     ///
     /// # Errors
     /// [`CalibrationError::OtherKind`], or where it cannot answer.
-    fn judged(
+    fn judged_readings(
         &self,
         session: SessionSystem<'_>,
         only_sealed: bool,

@@ -61,8 +61,11 @@ impl GivenCalibration {
         seed: u64,
     ) -> Result<CalibrationJudgement, CalibrationError> {
         let refused = |detail: &str| Self::refused(&self.path, detail);
-        let readings =
-            self.file.model.judged(session, self.only_sealed).map_err(|e| Self::refused(&self.path, e))?;
+        let readings = self
+            .file
+            .model
+            .judged_readings(session, self.only_sealed)
+            .map_err(|e| Self::refused(&self.path, e))?;
         let readings = readings.ok_or_else(|| refused("no moments at the session's poses"))?;
         let judgement = judge(&readings, session.quantities(), seed)
             .ok_or_else(|| refused("expected readings to judge it on, found none"))?;

@@ -19,8 +19,8 @@ pub use apply::{
     WhiskerCalibration,
 };
 pub use artefact::{
-    CalibrationModel, WireParts, of_whisker, provenance, read_calibration, read_unsealed, seal,
+    CalibrationModel, WireParts, of_whisker, provenance, read_calibration, read_unsealed, seal, standing,
 };
 pub use error::CalibrationError;
 pub use given::GivenCalibration;
-pub use trust_issue::{TrustIssue, standing};
+pub use trust_issue::TrustIssue;

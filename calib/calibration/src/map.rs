@@ -59,7 +59,7 @@ impl Calibration for MapArtefact {
         Ok(AppliedTable { csv, rows, outside, warnings: table.warnings })
     }
 
-    fn judged(
+    fn judged_readings(
         &self,
         session: SessionSystem<'_>,
         only_sealed: bool,

@@ -51,7 +51,7 @@ impl Calibration for PhysicalModel {
         Ok(AppliedTable { csv, rows, outside, warnings })
     }
 
-    fn judged(
+    fn judged_readings(
         &self,
         session: SessionSystem<'_>,
         only_sealed: bool,

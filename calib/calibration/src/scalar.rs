@@ -130,7 +130,7 @@ impl Calibration for ScalarModel {
         Ok(AppliedTable { csv, rows: rows.len(), outside, warnings: table.warning().into_iter().collect() })
     }
 
-    fn judged(
+    fn judged_readings(
         &self,
         session: SessionSystem<'_>,
         only_sealed: bool,

@@ -1,10 +1,6 @@
 //! Reasons not to trust what comes out of a calibration.
 
-use crate::artefact::CalibrationModel;
-use crate::error::CalibrationError;
 use std::fmt;
-use std::path::Path;
-use wcal_core::{CalibrationFile, VerificationStatus};
 
 /// One reason not to trust what comes out of a calibration.
 #[derive(Debug, Clone, PartialEq)]
@@ -73,28 +69,4 @@ impl fmt::Display for TrustIssue {
             ),
         }
     }
-}
-
-/// What speaks against using the calibration at the time `now`.
-///
-/// # Errors
-/// Where `expires` is no RFC 3339 time.
-pub fn standing(
-    file: &CalibrationFile<CalibrationModel>,
-    now: jiff::Timestamp,
-) -> Result<Vec<TrustIssue>, CalibrationError> {
-    let mut issues = Vec::new();
-    if let Some(expires) = &file.expires {
-        let until: jiff::Timestamp = expires.parse().map_err(|e| {
-            let detail = format!("field `expires`: expected an RFC 3339 time, found {expires:?}: {e}");
-            CalibrationError::content(Path::new("calibration"), detail)
-        })?;
-        if now > until {
-            issues.push(TrustIssue::Expired(expires.clone()));
-        }
-    }
-    if file.verification == VerificationStatus::Failed {
-        issues.push(TrustIssue::FailedVerification);
-    }
-    Ok(issues)
 }

@@ -2,11 +2,14 @@
 
 use super::dynamics::Dynamics;
 use super::stiffness::Stiffness;
-use super::{SHEAR_GPA, YOUNGS_GPA};
 use serde::Serialize;
 use wcal_core::Provenance;
 use wcal_core::observation::RestShape;
 use wcal_rod::{RestFit, RestModel};
+
+/// Elastic moduli of NiTi, GPa: only their ratio bears on a held wire's shape, and little.
+pub const YOUNGS_GPA: f64 = 75.0;
+pub const SHEAR_GPA: f64 = 28.2;
 
 /// `whisker.toml`.
 #[derive(Debug, Serialize)]

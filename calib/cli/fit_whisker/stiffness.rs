@@ -9,6 +9,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
+use wcal_core::order_statistics::median;
 use wcal_core::{Role, SessionData, WhiskerData};
 use wcal_rod::{Line, Outcome, RestFit, Rod, WORKING_STEP_MM};
 
@@ -137,21 +138,17 @@ fn slope<'a>(pairs: impl Iterator<Item = (&'a Pair, f64)>) -> f64 {
 
 /// Huber's weights; 0 for outliers.
 fn weights(pairs: &[Pair]) -> Vec<f64> {
-    let median = |mut x: Vec<f64>| {
-        x.sort_by(f64::total_cmp);
-        x.get(x.len() / 2).copied().unwrap_or(0.0)
-    };
     // Start: the median of each point's own slope.
     let own = |p: &Pair| {
         let size = p.model_nmm[0].powi(2) + p.model_nmm[1].powi(2);
         (p.known_nmm[0] * p.model_nmm[0] + p.known_nmm[1] * p.model_nmm[1]) / size.max(1e-12)
     };
-    let mut ratio = median(pairs.iter().map(own).collect());
+    let mut ratio = median(pairs.iter().map(own)).unwrap_or(0.0);
     let mut weights = vec![1.0; pairs.len()];
     for _ in 0..ROUNDS {
         let off: Vec<f64> = pairs.iter().map(|p| residual(p, ratio)).collect();
         // Median length of a plane normal vector: 1.177 standard deviations; a floor for labels without noise.
-        let sd = (median(off.clone()) / 1.177).max(1e-6);
+        let sd = (median(off.iter().copied()).unwrap_or(0.0) / 1.177).max(1e-6);
         weights = off
             .iter()
             .map(|r| if *r > OUTLIER * sd { 0.0 } else { (HUBER * sd / r.max(1e-300)).min(1.0) })

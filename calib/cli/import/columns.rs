@@ -1,6 +1,6 @@
 //! Column mapping: cells of the foreign table under the session's names.
 
-use super::{Declared, ImportArgs, Kind};
+use super::arguments::{Declared, ImportArgs, Kind};
 use anyhow::{Context, bail, ensure};
 use wcal_core::TransducerModel;
 use wcal_session::{TextTable, WHISKER_COLUMNS};

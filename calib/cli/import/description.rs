@@ -1,6 +1,6 @@
 //! `session.toml` of an imported session.
 
-use super::{Declared, ImportArgs, Kind, name_of};
+use super::arguments::{Declared, ImportArgs, Kind, name_of};
 use crate::simulated::is_simulated;
 use anyhow::{Context, bail, ensure};
 use std::path::Path;

@@ -1,6 +1,8 @@
 //! A sweep over an object becomes a session of kind "sweep": readings with the poses of the base, and the object where it is known.
 
-use super::{ImportArgs, ImportDocument, RESULT, description, layout, refuse_other_tables, say};
+use super::arguments::{ImportArgs, layout};
+use super::description;
+use super::imported::{ImportDocument, OBJECT, RESULT, refuse_other_tables, say};
 use crate::output::OutputFolder;
 use crate::simulated::is_simulated;
 use anyhow::{Context, bail, ensure};
@@ -13,8 +15,6 @@ use wcal_contact::table_source::base_pose;
 use wcal_session::{TextTable, read_text_table};
 use wcal_sim::Mesh;
 
-/// Name of the object's mesh in the folder.
-pub const OBJECT: &str = "object.stl";
 const POSES: &str = "base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz";
 
 /// What a sweep is made of.

@@ -1,6 +1,6 @@
 //! `wcal stereo-shape SESSION`: shapes of the poses that a session pictured, written into it.
 
-use super::{PairCounts, Shaper, StereoShapeArgs, judged, put_results};
+use super::shaper::{PairCounts, Shaper, StereoShapeArgs, put_results, report_pairs};
 use crate::output::OutputFolder;
 use anyhow::{Context, Result, bail, ensure};
 use std::path::Path;
@@ -56,7 +56,7 @@ pub(super) fn run(
         if !sealed {
             put_results(args, shaper, &result, &files, out.take())?;
         }
-        let PairCounts { good, clean: all } = judged(&result);
+        let PairCounts { good, clean: all } = report_pairs(&result);
         ensure!(sealed || good > 0, "expected at least one usable pair, found none");
         clean &= all;
         documents.push((file, serde_json::to_string(&result.document)?));

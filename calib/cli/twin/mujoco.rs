@@ -1,10 +1,11 @@
 //! MuJoCo's labels at a session's poses: other equilibria, the error against the session's labels and against the rod.
 
-use super::{Text, of_trajectory, row};
+use super::rows::{Text, of_trajectory, row};
 use crate::progress::Progress;
 use nalgebra::Vector3;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use wcal_core::WhiskerData;
+use wcal_core::order_statistics::median;
 use wcal_mujoco::MujocoEngine;
 use wcal_mujoco::compare::statics;
 use wcal_mujoco::groove::{Preset, paper_options};
@@ -128,9 +129,8 @@ fn doubt(data: &WhiskerData, label: &PoseLabel) -> Option<String> {
 /// Median and largest, and where that is.
 fn spread(mut values: Vec<(f64, i64)>) -> Option<(f64, f64, i64)> {
     values.retain(|v| v.0.is_finite());
-    values.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (middle, last) = (values.get(values.len() / 2)?, values.last()?);
-    Some((middle.0, last.0, last.1))
+    let (largest, at) = values.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+    Some((median(values.iter().map(|v| v.0))?, *largest, *at))
 }
 
 /// Says what is known of all poses together.

@@ -1,6 +1,5 @@
 //! What the virtual bench's cameras see: the plant's wire, groove and tags at the stage's position, or its chessboard.
 
-use super::REACH;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use std::sync::{Mutex, PoisonError};
 use wcal_bench::cameras::{
@@ -10,6 +9,9 @@ use wcal_bench::rod::Wire;
 use wcal_bench::table::{Path, equilibrium};
 use wcal_drivers::bench::scenario::{CameraScenario, WhiskerScenario};
 use wcal_drivers::bench::scene::{Scene, SceneState};
+
+/// Deepest push that is tabulated, as a share of the contact's arc length; the paper's go to 0.29.
+pub(super) const REACH: f64 = 0.4;
 
 /// Pieces of the drawn centre line, mm.
 const STEP_MM: f64 = 0.25;

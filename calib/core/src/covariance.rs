@@ -1,6 +1,7 @@
-//! What a file states as a covariance: square, symmetric, no variance or combination of parameters below zero.
+//! Covariances: what a file may state as one (square, symmetric, no variance or combination of parameters below zero), and the root of one.
 
-use nalgebra::DMatrix;
+use nalgebra::allocator::Allocator;
+use nalgebra::{DMatrix, DefaultAllocator, Dim, OMatrix};
 
 /// Relative size of a negative eigenvalue, and of a difference across the diagonal, that is rounding.
 const ROUNDING: f64 = 1e-6;
@@ -38,9 +39,37 @@ pub fn check(covariance: &[Vec<f64>], parameters: usize) -> Result<(), String> {
     if positive { Ok(()) } else { Err("a symmetric matrix without negative eigenvalues expected".to_owned()) }
 }
 
+/// The lower triangle L with L L^T = `covariance` (Cholesky): its columns are errors of one standard deviation that are independent of each
+/// other. Zero, of what is known exactly, has the root zero.
+///
+/// # Errors
+/// Where it is no covariance: as zero, errors that nobody knows would count as none.
+pub fn root<D: Dim>(covariance: &OMatrix<f64, D, D>) -> Result<OMatrix<f64, D, D>, String>
+where
+    DefaultAllocator: Allocator<D, D>,
+{
+    if covariance.iter().all(|v| *v == 0.0) {
+        return Ok(covariance.clone());
+    }
+    let factor = covariance.clone().cholesky();
+    factor.map(|c| c.l()).ok_or_else(|| "a matrix with eigenvalues above zero expected".to_owned())
+}
+
 #[cfg(test)]
 mod tests {
-    use super::check;
+    use super::{check, root};
+    use nalgebra::Matrix2;
+
+    #[test]
+    fn a_root_makes_its_covariance_and_none_is_made_up() {
+        let covariance = Matrix2::new(4.0, 1.0, 1.0, 2.0);
+        let found = root(&covariance).unwrap();
+        assert!((found * found.transpose() - covariance).norm() < 1e-14, "{found}");
+        assert_eq!(root(&Matrix2::zeros()), Ok(Matrix2::zeros()));
+        for none in [Matrix2::new(1.0, 2.0, 2.0, 1.0), Matrix2::identity() * f64::NAN, -covariance] {
+            assert!(root(&none).is_err(), "{none}");
+        }
+    }
 
     #[test]
     fn what_no_parameters_can_have_is_refused() {

@@ -133,7 +133,7 @@ impl Deadline {
     }
 
     /// What is left; zero when it is over or interrupted.
-    pub fn left(&self) -> Duration {
+    pub fn remaining(&self) -> Duration {
         match self.interrupt.signal() {
             Some(_) => Duration::ZERO,
             None => (self.end + self.stood_still()).saturating_duration_since(Instant::now()),
@@ -147,17 +147,17 @@ impl Deadline {
 
     /// Whether nothing is left.
     pub fn is_over(&self) -> bool {
-        self.left().is_zero()
+        self.remaining().is_zero()
     }
 
     /// Time for one call of the system: short, so that an interrupt is heard, and never zero, which some calls take for no limit.
     pub fn slice(&self) -> Duration {
-        self.left().clamp(Duration::from_millis(1), SLICE)
+        self.remaining().clamp(Duration::from_millis(1), SLICE)
     }
 
     /// Sleeps, not beyond the end.
     pub fn pause(&self, pause: Duration) {
-        let until = Instant::now() + pause.min(self.left());
+        let until = Instant::now() + pause.min(self.remaining());
         while !self.is_over() {
             let rest = until.saturating_duration_since(Instant::now());
             if rest.is_zero() {

@@ -15,8 +15,8 @@ pub mod format;
 pub mod least_squares;
 pub mod lock;
 pub mod map_document;
-pub mod median;
 pub mod observation;
+pub mod order_statistics;
 pub mod provenance;
 pub mod ranges;
 pub mod repeats;
@@ -36,6 +36,8 @@ pub use observation::{
     SessionShapes, Trajectory, TransducerData, TransducerModel, TransducerRow, TwinLabel, WhiskerData,
     WhiskerRow, WhiskerSpec,
 };
+/// By its former name, until the imports of `wcal-trace` have the new one.
+pub use order_statistics as median;
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;
 pub use sealed::{Decide, Labelled, Ledger, Look, Opened, Opening, RowLabel, Sealed};

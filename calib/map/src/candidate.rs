@@ -69,6 +69,7 @@ impl MapKind {
 
     /// Starting kernel and range of its shape, for a region of this diameter (scaled input units).
     fn kernel(self, diameter: f64, radius: f64) -> (Kernel, Option<ShapeSearch>) {
+        // From a tenth of the cloud, where neighbours tell nothing, to twenty of it, where only the trend is left.
         let length = ShapeSearch { low: 0.1 * diameter, high: 20.0 * diameter, steps: 10 };
         match self {
             Self::Affine | Self::Quadratic => (Kernel::None, None),
@@ -107,6 +108,7 @@ impl Scaled {
         diameter_pm: f64,
         radius_pm: Option<f64>,
     ) -> Result<Self, MapError> {
+        // One scale for both gratings: the kernel stays isotropic in wavelength.
         let scale = |s: &[f64; 2]| [(s[0] - centre_pm[0]) / scale_pm, (s[1] - centre_pm[1]) / scale_pm];
         let diameter = diameter_pm / scale_pm;
         let radius = radius_pm.map_or(RADIUS_PER_DIAMETER * diameter, |r| r / scale_pm);
@@ -137,6 +139,7 @@ impl LeftOutSummary {
     fn new(errors: Vec<LeftOut>) -> Self {
         let n = errors.len().max(1) as f64;
         let rmse_nmm = (errors.iter().map(|e| e.error * e.error).sum::<f64>() / n).sqrt();
+        // Density of the error: that of e / s, over s.
         let nll = errors.iter().map(|e| e.sd.ln() - log_density(e.error / e.sd, e.dof)).sum::<f64>() / n;
         let mut out = Self { rmse_nmm, coverage95: 0.0, nll, errors };
         out.coverage95 = out.coverage_with(1.0);
@@ -162,6 +165,7 @@ impl LeftOutSummary {
         if n == 0 || inside >= binomial_bounds(n, 0.95)[0] {
             return 1.0;
         }
+        // Fewer inside than chance allows: the intervals are too narrow by a factor.
         let mut reach: Vec<f64> = self.errors.iter().map(Self::reach).collect();
         reach.sort_by(f64::total_cmp);
         let rank = ((0.95 * (n + 1) as f64).ceil() as usize).min(n);
@@ -244,6 +248,7 @@ pub(crate) fn fit_candidate(
         .into_iter()
         .zip(&scaled.outputs)
         .map(|(fit, y)| {
+            // A likelihood with a given variance is on another scale.
             let whole = fit.model.fixed_variance.is_none();
             whole.then(|| log_evidence(&fit.model, &scaled.inputs, y)).flatten()
         })
@@ -276,6 +281,7 @@ fn leave_trajectories_out(
             (0..y.len()).partition(|i| training.trajectory[*i] == Some(*trajectory));
         let inputs: Vec<[f64; 2]> = kept.iter().map(|i| scaled.inputs[*i]).collect();
         let outputs: Vec<f64> = kept.iter().map(|i| y[*i]).collect();
+        // Hyperparameters anew: those of all readings have seen the ones that are held.
         let model = recipe(&inputs, &outputs, Some(full))?;
         let fit = Process::fit(model, &inputs, &outputs)?;
         for index in held {

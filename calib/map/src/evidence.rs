@@ -58,6 +58,7 @@ impl TrendNull {
                 v[i] = h[(i, j)];
             }
             let norm = v.norm();
+            // Onto the farther side: no cancellation.
             v[j] += norm.copysign(v[j]);
             let length = v.norm();
             if length > 0.0 {
@@ -167,6 +168,7 @@ pub fn choose_hyperparameters(
     let best = |shape: f64| best_nugget(&null, kernel.with_shape(shape), inputs, y);
     let shape = match (search, kernel.shape()) {
         (Some(s), _) => {
+            // In logarithms: a length is known by its order of magnitude first.
             let (log_shape, _) = maximise(|p| best(p.exp()).1, [s.low.ln(), s.high.ln()], s.steps, 8);
             log_shape.exp()
         }

@@ -89,6 +89,7 @@ pub fn fit_map(training: &MapTraining, options: &FitOptions) -> Result<MapFit, M
         law: identifiability.law,
         fbg: options.fbg.clone(),
         rest: None,
+        // The readings' own noise, through the affine law.
         reading_sd_nmm: training.noise_sd_pm.and_then(|sd| identifiability.law.moment_sd_nmm(sd)),
     };
     artefact.check()?;
@@ -114,6 +115,7 @@ fn fit_all(
     }
     let scaled = Scaled::new(training, centre_pm, scale_pm, region.diameter_pm(), None)?;
     for candidate in &options.candidates {
+        // Each trial of the search and each fold factorises an n x n matrix, at n^3.
         if candidate.is_process() && training.len() > MAX_PROCESS_READINGS {
             let why = format!(
                 "{} readings, more than the {MAX_PROCESS_READINGS} that it is fitted to",

@@ -8,12 +8,14 @@
 pub(crate) fn centre_and_spread(points: &[[f64; 2]]) -> ([f64; 2], f64) {
     let n = points.len().max(1) as f64;
     let centre = [0, 1].map(|c| points.iter().map(|p| p[c]).sum::<f64>() / n);
+    // Half of the mean squared distance is the variance of one coordinate.
     let square: f64 = points.iter().map(|p| (p[0] - centre[0]).powi(2) + (p[1] - centre[1]).powi(2)).sum();
     (centre, (square / (2.0 * n)).sqrt())
 }
 
 /// Largest distance between two points.
 pub(crate) fn diameter(points: &[[f64; 2]]) -> f64 {
+    // The farthest two are vertices of the hull.
     let hull = convex_hull(points);
     let mut largest: f64 = 0.0;
     for (i, a) in hull.iter().enumerate() {
@@ -71,6 +73,7 @@ pub(crate) fn distance_to_polygon(vertices: &[[f64; 2]], p: [f64; 2]) -> f64 {
 fn distance_to_segment(a: [f64; 2], b: [f64; 2], p: [f64; 2]) -> f64 {
     let along = [b[0] - a[0], b[1] - a[1]];
     let square = along[0].powi(2) + along[1].powi(2);
+    // Foot of the perpendicular, held within the edge.
     let t = if square > 0.0 {
         (((p[0] - a[0]) * along[0] + (p[1] - a[1]) * along[1]) / square).clamp(0.0, 1.0)
     } else {

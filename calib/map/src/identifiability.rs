@@ -39,6 +39,7 @@ impl WavelengthFromMoment {
     /// Standard deviations of the moments (N mm) by independent ones of the shifts (pm): `m = K^-1 (shift - zero)`.
     pub fn moment_sd_nmm(&self, shift_sd_pm: [f64; 2]) -> Option<[f64; 2]> {
         let [[a, b], [c, d]] = self.k_pm_per_nmm;
+        // Independent errors of the shifts add in squares through the rows of K^-1.
         let determinant = a * d - b * c;
         let inverse = [[d, -b], [-c, a]].map(|row| row.map(|v| v / determinant));
         let sd = inverse.map(|row| (row[0] * shift_sd_pm[0]).hypot(row[1] * shift_sd_pm[1]));
@@ -129,6 +130,7 @@ fn fit_law(training: &MapTraining) -> Result<WavelengthFromMoment, MapError> {
     }
     let b = svd.solve(&y, 0.0).map_err(|_| deficient)?;
     let e = y - h * &b;
+    // Three coefficients a grating are estimated.
     let sd_pm = |g: usize| (e.column(g).norm_squared() / (n as f64 - 3.0)).sqrt();
     Ok(WavelengthFromMoment {
         zero_pm: [b[(0, 0)], b[(0, 1)]],

@@ -40,6 +40,7 @@ impl MapPrediction {
     pub fn spread(&self) -> MomentSpread {
         const MIN_NMM2: f64 = 1e-12;
         let map = self.sd_map_nmm;
+        // What the stated variance has beyond the map's is the reading's own.
         let [a, b] = [0, 1].map(|c| (self.sd_nmm[c].powi(2) - map[c].powi(2)).max(MIN_NMM2));
         MomentSpread {
             noise_nmm2: Matrix2::new(a, 0.0, 0.0, b),
@@ -160,6 +161,7 @@ impl Output {
         };
         let factor = Factor::new(&model, inputs)?;
         let terms = stored.trend.terms();
+        // Diagonals inverted here: forward substitution then only multiplies.
         let mut lower = Vec::new();
         if stored.kernel != Kernel::None {
             for i in 0..inputs.len() {
@@ -181,6 +183,7 @@ impl Output {
         }
         let mut beta = [0.0; MAX_TERMS];
         beta[..terms].copy_from_slice(&stored.beta);
+        // The factor is on standard deviations.
         let wider = stored.inflation.powi(2);
         Ok(Self {
             kernel: stored.kernel,

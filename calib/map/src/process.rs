@@ -120,6 +120,7 @@ impl Process {
         };
         let whitened = &yt - &factor.g * &beta;
         let alpha = factor.l.tr_solve_lower_triangular(&whitened).ok_or(lost)?;
+        // Restricted estimate: each coefficient of the trend takes a degree of freedom.
         let free = (readings - terms) as f64;
         let (variance, dof) = match model.fixed_variance {
             Some(v) => (v, None),
@@ -182,6 +183,7 @@ impl Process {
             let Some(inverse) = Cholesky::new(block).map(|c| c.inverse()) else { continue };
             let py = DVector::from_iterator(m, group.iter().map(|i| self.alpha[*i]));
             let error = &inverse * &py;
+            // s2 of the rest: the group's own misfit comes off the sum of squares.
             let dof = self.dof.map(|nu| nu - m as f64).filter(|nu| *nu > 0.0);
             let variance = match dof {
                 Some(nu) => ((total - py.dot(&error)) / nu).max(0.0),

@@ -41,6 +41,7 @@ impl ValidRegion {
 
     /// Largest distance between two valid readings, pm.
     pub fn diameter_pm(&self) -> f64 {
+        // Two valid readings may lie a margin beyond opposite vertices.
         diameter(&self.vertices_pm) + 2.0 * self.margin_pm
     }
 }

@@ -26,6 +26,7 @@ const NOISE_VARIANCE: f64 = 3.0 * 3.0 + 1.0;
 
 /// The process of either moment.
 pub fn model() -> ProcessModel {
+    // (2 r^3 - 3 R r^2 + R^3) / 12 at r = 0: the kernel here is 1 there.
     let variance = RADIUS.powi(3) / 12.0;
     ProcessModel {
         trend: Trend::Zero,

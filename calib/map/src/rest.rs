@@ -33,6 +33,7 @@ pub fn test_rest(training: &MapTraining, options: &FitOptions) -> Result<Option<
     let fit = fit_map(&loaded, options)?;
     let n = rest.len() as f64;
     let mean = |of: &[[f64; 2]]| [0, 1].map(|c| rest.iter().map(|i| of[*i][c]).sum::<f64>() / n);
+    // As one pose: readings at rest share an error, so that their mean is no surer than one of them.
     let p = MapPredictor::new(&fit.artefact)?.predict(mean(&training.shifts_pm));
     let label_nmm = mean(&training.moments_nmm);
     let offset_nmm = [0, 1].map(|c| p.moment_nmm[c] - label_nmm[c]);

@@ -34,6 +34,7 @@ pub(crate) fn log_density(z: f64, dof: Option<f64>) -> f64 {
 /// Smallest and largest count of `n` trials that a success rate of `p` does not contradict at the two-sided 5 % level.
 pub fn binomial_bounds(n: usize, p: f64) -> [usize; 2] {
     let Ok(law) = Binomial::new(p, n as u64) else { return [0, n] };
+    // Counts with more than 2.5 % on either side.
     let low = (0..=n).find(|k| law.cdf(*k as u64) > 0.025).unwrap_or(0);
     let high = (0..=n).find(|k| law.cdf(*k as u64) >= 0.975).unwrap_or(n);
     [low, high]

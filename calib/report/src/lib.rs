@@ -29,5 +29,5 @@ pub use input::{
 pub use markup::{Table, TableCell, list};
 pub use number::{number, p_value, percent, with_interval};
 pub use page::{plain_page, render, render_index};
-pub use sections::{legend, series};
+pub use sections::parts::{legend, series};
 pub use shapes::{ShapePair, ShapePicture, ShapesInput, render_shapes};

@@ -5,8 +5,8 @@ use crate::input::Fact;
 use crate::markup::{Table, TableCell, escape, list};
 use crate::number::number;
 use crate::page::{facts, plain_page};
-use crate::plot::{Axis, Layer, Plot};
-use crate::sections::{legend, series};
+use crate::plot::{Axis, Layer, Plot, svg};
+use crate::sections::parts::{legend, series};
 use std::fmt::Write;
 
 /// What the page shows.
@@ -157,7 +157,7 @@ fn residuals(input: &ShapePair, simulated: bool) -> String {
         "<figure class=\"whole\">{}<div class=\"charts\">{}</div><figcaption>{}Measured centres from the reprojected curve, root to \
          tip.</figcaption></figure>\n",
         legend(&["left".to_owned(), "right".to_owned()]),
-        plot.svg(),
+        svg(&plot),
         badge(simulated)
     )
 }

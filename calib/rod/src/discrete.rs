@@ -37,6 +37,7 @@ impl DiscreteRod {
             .map(|j| {
                 let (from, to) = ((j as f64 - 0.5).max(0.0) * link_mm, (j as f64 + 0.5) * link_mm);
                 let span = to - from;
+                // D / span, at the diameter of the span's middle.
                 let factor = section.taper_factor((from + to) / 2.0 / shape.length_mm) / span;
                 let stiffness = Vector3::new(section.gj_nmm2, section.ei_nmm2, section.ei_nmm2) * factor;
                 (turn(shape, from, to), stiffness)
@@ -68,6 +69,7 @@ fn turn(shape: &Shape, from_mm: f64, to_mm: f64) -> Vector3<f64> {
         let a = from_mm.max(interval.start_mm);
         let b = to_mm.min(interval.start_mm + interval.length_mm);
         if b > a {
+            // u0 is linear here: its value in the middle times the length is the integral.
             let middle = (a + b) / 2.0 - interval.start_mm;
             let u = Vector3::from(interval.u_start) + Vector3::from(interval.u_slope) * middle;
             total += u * (b - a);

@@ -39,6 +39,7 @@ impl DiscreteRod {
         let touched = Vector3::x() * (arclength_mm - last as f64 * self.link_mm);
         let (mut frame, mut node, mut moment) = (Matrix3::identity(), Vector3::zeros(), Vector3::zeros());
         for j in (0..=last).rev() {
+            // Beyond a joint only f acts: its moment gives the joint's turn, and that the next link inward.
             moment = (touched - node).cross(force_n);
             let turn = self.joint_rotation(j, &frame.tr_mul(&moment));
             frame *= rotation(&-turn);
@@ -46,6 +47,7 @@ impl DiscreteRod {
                 node -= frame.column(0) * self.link_mm;
             }
         }
+        // All is turned so that the root stands in the clamp.
         let base = self.clamp_frame() * frame.transpose();
         PointLoad {
             axis_mm: base * (touched - node),

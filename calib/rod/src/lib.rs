@@ -22,6 +22,7 @@ pub mod fit;
 pub mod inverse_statics;
 pub mod kirchhoff;
 pub mod material;
+pub mod se3;
 pub mod shape;
 
 pub use discrete::DiscreteRod;

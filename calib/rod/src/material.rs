@@ -78,6 +78,7 @@ impl Softening {
         if y <= 1.0 {
             return (y, 1.0);
         }
+        // Newton from below on a concave law: its tangent lies above, so that no step goes too far.
         let mut x = y;
         for _ in 0..60 {
             let (value, slope) = self.relative_moment(x);

@@ -5,6 +5,7 @@
 //! frame: R. L. Bishop, Amer. Math. Monthly 82, 1975).
 
 use crate::error::RodError;
+use crate::se3::{Pose, matrix_of, rows_of, step};
 use nalgebra::{Matrix3, Rotation3, Unit, Vector3};
 use wcal_core::observation::RestShape;
 
@@ -99,12 +100,14 @@ impl Shape {
             });
         }
         let tangents: Vec<Vector3<f64>> = edges.iter().map(|e| e.normalize()).collect();
+        // A round wire has no preferred normal: any direction across the tangent starts the frame.
         let helper = if tangents[0].z.abs() < 0.9 { Vector3::z() } else { Vector3::y() };
         let e2 = helper.cross(&tangents[0]).normalize();
         let mut frame = Matrix3::from_columns(&[tangents[0], e2, tangents[0].cross(&e2)]);
         let root = frame;
         let mut bend = vec![[0.0; 3]; points.len()];
         for j in 1..edges.len() {
+            // The least turn from edge to edge: no twist. It stands for half of either edge.
             let axis = tangents[j - 1].cross(&tangents[j]);
             let angle = axis.norm().atan2(tangents[j - 1].dot(&tangents[j]));
             let turn = if axis.norm() > 1e-12 {
@@ -117,6 +120,7 @@ impl Shape {
             frame = turn.matrix() * frame;
             bend[j] = [0.0, u.y, u.z];
         }
+        // No turning angle is known at the ends.
         bend[0] = bend[1];
         bend[points.len() - 1] = bend[points.len() - 2];
         let pieces: Vec<_> =
@@ -128,6 +132,7 @@ impl Shape {
         let mut intervals = Vec::new();
         let mut s = 0.0;
         for (length, u_a, u_b) in pieces {
+            // Equal intervals within a piece: breaks of the curvature fall on nodes, where the integrator keeps its order.
             let count = (length / step_mm).ceil().max(1.0);
             let h = length / count;
             let slope = [0, 1, 2].map(|i| (u_b[i] - u_a[i]) / length);
@@ -143,10 +148,24 @@ impl Shape {
             s += length;
         }
         let mut shape = Self { intervals, length_mm: s, root, nodes_mm: Vec::new(), frames: Vec::new() };
-        let (nodes, frames) = crate::kirchhoff::integrate::unloaded(&shape);
-        shape.nodes_mm = nodes;
-        shape.frames = frames;
+        (shape.nodes_mm, shape.frames) = shape.rest_curve();
         shape
+    }
+
+    /// Points and frames at the interval ends: g' = g (u0, e1) from the root on.
+    fn rest_curve(&self) -> (Vec<Vector3<f64>>, Vec<Matrix3<f64>>) {
+        let mut g = Pose { frame: rows_of(&self.root), position: [0.0; 3] };
+        let (mut nodes, mut frames) = (vec![Vector3::zeros()], vec![self.root]);
+        for (j, interval) in self.intervals.iter().enumerate() {
+            let last = j + 1 == self.intervals.len();
+            // The last one ends at the tip, however the lengths add up.
+            let h = if last { self.length_mm - interval.start_mm } else { interval.length_mm };
+            let u = |offset: f64| [0, 1, 2].map(|i| interval.u_start[i] + interval.u_slope[i] * offset);
+            g = step(h, &g, |offset, _| (u(offset), [1.0, 0.0, 0.0]));
+            nodes.push(Vector3::from(g.position));
+            frames.push(matrix_of(&g.frame));
+        }
+        (nodes, frames)
     }
 
     /// The same wire with `by_mm` more beyond its tip, at the rest curvature of its last end: smooth functions of the wire go on there.
@@ -163,7 +182,7 @@ impl Shape {
             u_slope: [0.0; 3],
         }));
         shape.length_mm += by_mm;
-        (shape.nodes_mm, shape.frames) = crate::integrate::unloaded(&shape);
+        (shape.nodes_mm, shape.frames) = shape.rest_curve();
         shape
     }
 
@@ -171,7 +190,7 @@ impl Shape {
     pub fn turned(&self, turn: &Rotation3<f64>) -> Self {
         let mut shape = self.clone();
         shape.root = turn.matrix() * self.root;
-        (shape.nodes_mm, shape.frames) = crate::kirchhoff::integrate::unloaded(&shape);
+        (shape.nodes_mm, shape.frames) = shape.rest_curve();
         shape
     }
 
@@ -187,6 +206,7 @@ impl Shape {
         let x = (s_mm - self.intervals[j].start_mm) / h;
         let (p0, p1) = (self.nodes_mm[j], self.nodes_mm[j + 1]);
         let (t0, t1) = (self.frames[j].column(0) * h, self.frames[j + 1].column(0) * h);
+        // Hermite's basis on both places and tangents: error of fourth order in h.
         let (x2, x3) = (x * x, x * x * x);
         p0 * (2.0 * x3 - 3.0 * x2 + 1.0)
             + t0 * (x3 - 2.0 * x2 + x)
@@ -201,6 +221,7 @@ pub fn from_arclength(shape: &Shape, s_mm: f64) -> Vec<Interval> {
     let mut rest: Vec<Interval> = shape.intervals[first..].to_vec();
     if let Some(cut) = rest.first_mut() {
         let offset = (s_mm - cut.start_mm).clamp(0.0, cut.length_mm);
+        // The linear law of the cut interval starts at the cut.
         cut.u_start = [0, 1, 2].map(|i| cut.u_start[i] + cut.u_slope[i] * offset);
         cut.start_mm += offset;
         cut.length_mm -= offset;

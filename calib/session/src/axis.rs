@@ -1,12 +1,13 @@
 //! Sessions of kind "axis": commanded against measured position.
 
 use crate::error::{InputError, SessionError};
-use crate::row::{PointNumbers, clock_problem};
+use crate::row::{PointNumbers, Row, clock_problem};
 use crate::screening::{contradiction, copied, overflow};
 use crate::table::read_own;
 use crate::warning::SessionWarning;
 use crate::whisker::unknown_columns;
 use std::path::Path;
+use wcal_core::order_statistics::median;
 use wcal_core::{AxisRow, InputFile, Purpose};
 
 /// Reads a table.
@@ -23,12 +24,11 @@ pub(crate) fn read_rows(
     let known = [&["t_s", "direction", "temperature_degc"][..], &group].concat();
     warnings.extend(unknown_columns(name, table.others(&required, &known)?));
     let mut points = PointNumbers::default();
-    for row in table.by_name() {
+    for row in Row::all(&table) {
         points.note(&row, row.point()?)?;
     }
     let mut out = vec![false; table.rows.len()];
-    let set: Vec<[f64; 2]> = table
-        .by_name()
+    let set: Vec<[f64; 2]> = Row::all(&table)
         .map(|row| Ok([row.required("commanded_mm")?, row.required("measured_mm")?]))
         .collect::<Result<_, InputError>>()?;
     // A column that holds something else is named as that before its single values are judged.
@@ -36,7 +36,7 @@ pub(crate) fn read_rows(
     warnings.extend(overflow(&table, [&["commanded_mm"], &["measured_mm", "temperature_degc"]], &mut out)?);
     warnings.extend(copied(&table, Some("measured_mm"), &mut out)?);
     let mut rows = Vec::new();
-    for row in table.by_name().filter(|row| !out[row.index]) {
+    for row in Row::all(&table).filter(|row| !out[row.index]) {
         rows.push(AxisRow {
             source: name.to_owned(),
             line: row.line,
@@ -67,14 +67,11 @@ fn slope(rows: &[[f64; 2]]) -> Option<f64> {
     let half = rows.len().div_ceil(2);
     // Each reading with the next and with one half a table away: short and long steps.
     let pairs = (0..rows.len()).flat_map(|k| [k + 1, k + half].map(|j| (&rows[k], rows.get(j))));
-    let mut slopes: Vec<f64> = pairs
-        .filter_map(|(a, b)| {
-            let (x, y) = (b?[0] - a[0], b?[1] - a[1]);
-            (x.abs() > MIN_STEP * (high - low) && x != 0.0).then_some(y / x)
-        })
-        .collect();
-    slopes.sort_by(f64::total_cmp);
-    slopes.get(slopes.len() / 2).copied()
+    let slopes = pairs.filter_map(|(a, b)| {
+        let (x, y) = (b?[0] - a[0], b?[1] - a[1]);
+        (x.abs() > MIN_STEP * (high - low) && x != 0.0).then_some(y / x)
+    });
+    median(slopes)
 }
 
 /// The declared model is measured = commanded + constant, so their slope is close to 1. Another one is a unit (um, m, inch, cm), a sense of

@@ -19,6 +19,18 @@ type Outcome<T> = Result<T, InputError>;
 /// Largest number of a point. Beyond this a table's numbers, read as 64-bit floats, are no longer told apart.
 const MAX_POINT: f64 = 9_007_199_254_740_992.0;
 
+impl<'a> Row<'a> {
+    /// One of a table's rows.
+    pub(crate) fn new(table: &'a TextTable, index: usize) -> Self {
+        Self { table, index, line: table.rows[index].0 }
+    }
+
+    /// All of them.
+    pub(crate) fn all(table: &'a TextTable) -> impl Iterator<Item = Self> {
+        (0..table.rows.len()).map(|index| Self::new(table, index))
+    }
+}
+
 impl Row<'_> {
     /// An error of this row's cell in column `field`.
     pub(crate) fn error(

@@ -2,6 +2,7 @@
 //! warning, each by one plain rule. What contradicts itself is an error that names the way out.
 
 use crate::error::InputError;
+use crate::row::Row;
 use crate::table::TextTable;
 use crate::warning::{SessionWarning, WarningKind, named};
 use std::collections::{HashMap, HashSet};
@@ -72,7 +73,7 @@ pub(crate) fn copied(
 
 /// Numbers of a column; none in each row where the table does not have it.
 fn column(table: &TextTable, name: &str) -> Result<Vec<Option<f64>>, InputError> {
-    table.by_name().map(|row| row.number(name)).collect()
+    Row::all(table).map(|row| row.number(name)).collect()
 }
 
 fn lines(table: &TextTable, rows: &[usize]) -> String {
@@ -80,7 +81,7 @@ fn lines(table: &TextTable, rows: &[usize]) -> String {
 }
 
 fn left_out(table: &TextTable, rows: &[usize], text: String) -> Result<SessionWarning, InputError> {
-    let points = rows.iter().map(|&k| table.row(k).point_or_order()).collect::<Result<_, _>>()?;
+    let points = rows.iter().map(|&k| Row::new(table, k).point_or_order()).collect::<Result<_, _>>()?;
     Ok(SessionWarning::new(&table.file, WarningKind::LeftOut(points), text))
 }
 

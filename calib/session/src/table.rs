@@ -3,7 +3,6 @@
 
 use crate::columns::column_range;
 use crate::error::{InputError, SessionError, listed, not_utf8, quote};
-use crate::row::Row;
 use crate::units::split_unit;
 use crate::warning::{SessionWarning, WarningKind};
 use csv::StringRecord;
@@ -244,15 +243,6 @@ impl TextTable {
     /// The file and its hash.
     pub(crate) fn input(&self, purpose: Purpose) -> InputFile {
         InputFile { path: self.file.clone(), sha256: self.sha256.clone(), purpose }
-    }
-
-    /// The rows, cells by the names of their columns.
-    pub(crate) fn by_name(&self) -> impl Iterator<Item = Row<'_>> {
-        (0..self.rows.len()).map(|index| self.row(index))
-    }
-
-    pub(crate) fn row(&self, index: usize) -> Row<'_> {
-        Row { table: self, index, line: self.rows[index].0 }
     }
 
     /// Index of a column of a session's table, which names each once.

@@ -1,7 +1,7 @@
 //! Sessions of kind "transducer": one stimulus, one response.
 
 use crate::error::{InputError, SessionError};
-use crate::row::{PointNumbers, clock_problem};
+use crate::row::{PointNumbers, Row, clock_problem};
 use crate::screening::{contradiction, copied, overflow};
 use crate::table::read_own;
 use crate::warning::SessionWarning;
@@ -38,12 +38,12 @@ pub(crate) fn read_rows(
     let known = [&["t_s", "temperature_degc", "direction"][..], &group].concat();
     let others = table.others(&required, &known)?;
     let (covariates, without): (Vec<String>, Vec<String>) =
-        others.into_iter().partition(|column| matches!(table.row(0).number(column), Ok(Some(_))));
+        others.into_iter().partition(|column| matches!(Row::new(&table, 0).number(column), Ok(Some(_))));
     let without =
         without.iter().map(|column| format!("column {} holds no numbers and is not used", brief(column)));
     warnings.extend(without.map(|text| SessionWarning::other(name, text)));
     let mut points = PointNumbers::default();
-    for row in table.by_name() {
+    for row in Row::all(&table) {
         points.note(&row, row.point()?)?;
     }
     let mut out = vec![false; table.rows.len()];
@@ -52,7 +52,7 @@ pub(crate) fn read_rows(
     warnings.extend(overflow(&table, [&["stimulus"], &read], &mut out)?);
     warnings.extend(copied(&table, Some("response"), &mut out)?);
     let mut rows = Vec::new();
-    for row in table.by_name().filter(|row| !out[row.index]) {
+    for row in Row::all(&table).filter(|row| !out[row.index]) {
         let covariate = |column: &String| {
             let missing = || row.error(column, "a number (a covariate in every row)", "nothing");
             row.number(column)?.ok_or_else(missing)

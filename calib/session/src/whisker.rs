@@ -107,7 +107,7 @@ pub(crate) fn read_rows(
     let [mut lost, mut late, mut moved] = [(); 3].map(|()| Vec::new());
     // A mean over several places is a reading of none of them.
     let coded = out.clone();
-    for row in table.by_name().filter(|row| in_session && !coded[row.index]) {
+    for row in Row::all(&table).filter(|row| in_session && !coded[row.index]) {
         if row.stream()? == "moved" {
             moved.push(row.point()?);
             out[row.index] = true;
@@ -120,7 +120,7 @@ pub(crate) fn read_rows(
     }
     let known: HashSet<u32> = trajectories.iter().map(|t| t.id).collect();
     let (mut points, mut rows) = (PointNumbers::default(), Vec::new());
-    for row in table.by_name() {
+    for row in Row::all(&table) {
         // The number of a copy was noted with the row that it copies.
         if !out[row.index] || without_copies[row.index] {
             points.note(&row, row.point_or_order()?)?;
@@ -311,7 +311,7 @@ pub(crate) fn read_twin(
     let known: HashSet<i64> = rows.iter().map(|r| r.point).collect();
     let left_out: HashSet<i64> = warnings.iter().flat_map(SessionWarning::left_out).copied().collect();
     let (mut points, mut labels) = (PointNumbers::default(), Vec::new());
-    for row in table.by_name() {
+    for row in Row::all(&table) {
         let point = row.point()?;
         points.note(&row, point)?;
         if may_be_empty && row.number(MOMENTS[0])?.is_none() && row.number(MOMENTS[1])?.is_none() {

@@ -2,6 +2,7 @@
 
 use crate::document::{sections, unit_vector};
 use crate::error::{InputError, SessionError};
+use crate::row::Row;
 use crate::table::read_own;
 use crate::warning::SessionWarning;
 use nalgebra::Vector3;
@@ -159,10 +160,9 @@ pub(crate) fn read_polyline(
 ) -> Result<(Vec<Vector3<f64>>, InputFile), SessionError> {
     let table = read_own(&folder.join(name), name)?;
     table.others(&["x_mm", "y_mm", "z_mm"], &[])?;
-    let point = |row: crate::row::Row<'_>| {
-        Ok(Vector3::new(row.required("x_mm")?, row.required("y_mm")?, row.required("z_mm")?))
-    };
-    let points = table.by_name().map(point).collect::<Result<_, InputError>>()?;
+    let point =
+        |row: Row<'_>| Ok(Vector3::new(row.required("x_mm")?, row.required("y_mm")?, row.required("z_mm")?));
+    let points = Row::all(&table).map(point).collect::<Result<_, InputError>>()?;
     warnings.extend(table.warning());
     Ok((points, table.input(Purpose::Description)))
 }

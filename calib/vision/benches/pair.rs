@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use wcal_vision::calibrate::board::{Board, Pattern};
 use wcal_vision::calibrate::chessboard::BoardSize;
 use wcal_vision::calibrate::folders::calibrate_folders;
-use wcal_vision::camera::lens::OPENCV5;
+use wcal_vision::camera::OPENCV5;
 use wcal_vision::pairs::PairFiles;
 use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;

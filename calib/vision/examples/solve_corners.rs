@@ -9,7 +9,7 @@ use std::time::Instant;
 use wcal_vision::calibrate::board::board_points;
 use wcal_vision::calibrate::bundle::{BoardView, BundleState, Free, solve};
 use wcal_vision::calibrate::solution::calibrate_stereo;
-use wcal_vision::camera::lens::OPENCV5;
+use wcal_vision::camera::OPENCV5;
 
 fn main() -> anyhow::Result<()> {
     let input: Value = serde_json::from_reader(std::io::stdin())?;

@@ -10,6 +10,7 @@ pub mod calibrate;
 pub mod camera;
 pub mod error;
 mod homography;
+mod median;
 pub mod pairs;
 pub mod picture;
 pub mod profile;

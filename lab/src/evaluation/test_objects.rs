@@ -4,8 +4,8 @@
 
 use crate::LabError;
 use crate::evaluate::{Method, score_objects};
-use crate::evaluation::Order;
 use crate::evaluation::document::{ObjectRow, TestObjects, TestRow, coverage90, intervals, mean};
+use crate::evaluation::request::Order;
 use crate::generate_sweeps::{SweepRequest, generate_sweeps};
 use crate::sweep_series::SweepSeries;
 use std::collections::BTreeMap;

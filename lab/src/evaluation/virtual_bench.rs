@@ -4,7 +4,7 @@
 //! the gratings answer with squares of the moments. The bench is calibrated as a real one would be, on a session of its own.
 
 use crate::LabError;
-use crate::evaluation::{BenchCalibration, Calibrate};
+use crate::evaluation::request::{BenchCalibration, Calibrate};
 use crate::sweep_series::SweepSeries;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

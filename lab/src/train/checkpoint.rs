@@ -1,13 +1,22 @@
 //! What a training leaves after every pass, so that it can be taken up again.
 
-use super::State;
 use super::settings::{Pass, TrainSettings};
 use crate::LabError;
+use crate::network::TrainableNet;
 use burn::module::Module;
+use burn::optim::ModuleOptimizer;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use wcal_track::network::NetworkConfig;
+
+/// Where a training stands after a pass.
+pub(super) struct State {
+    pub net: TrainableNet,
+    pub best: TrainableNet,
+    pub optimizer: ModuleOptimizer,
+    pub passes: Vec<Pass>,
+}
 
 #[derive(Serialize, Deserialize, JsonSchema)]
 struct CheckpointState {

@@ -1,6 +1,6 @@
 //! Sweep series that calibrate the stated regions: held-out objects on whiskers that differ from the one trained on. All of them are SIMULATED.
 
-use super::TrainingRequest;
+use super::request::TrainingRequest;
 use crate::LabError;
 use crate::generate_sweeps::{SweepRequest, generate_sweeps};
 use crate::sweep_series;

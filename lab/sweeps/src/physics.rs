@@ -2,7 +2,6 @@
 //!
 //! Per length: weight less buoyancy (rho_w - rho) pi/4 D^2 g, and drag ([`wcal_mujoco::engine::fluid`]). Directions are uniform on the sphere: z uniform in [-1, 1] and an angle (Archimedes).
 
-use crate::SweepPlan;
 use crate::contact::{Configuration, ContactRod};
 use nalgebra::Vector3;
 use rand::RngExt;
@@ -125,8 +124,7 @@ pub struct Physics {
 }
 
 impl Physics {
-    pub(crate) fn draw(plan: &SweepPlan, rng: &mut ChaCha8Rng) -> Self {
-        let plan = &plan.physics;
+    pub(crate) fn draw(plan: &PhysicsPlan, rng: &mut ChaCha8Rng) -> Self {
         let mut uniform = |[low, high]: [f64; 2]| low + (high - low) * rng.random::<f64>();
         // Every draw is made whatever is off: what is switched on does not change the others.
         let friction = uniform(plan.friction);

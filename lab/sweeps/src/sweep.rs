@@ -179,7 +179,7 @@ impl Sweep {
     pub fn draw(mesh: &Mesh, plan: &SweepPlan, seed: u64, index: u64, reach_mm: f64) -> Option<Self> {
         let mut rng = generator(&mesh.name, "", seed, index);
         // Draws of its own: the physics leaves the sweep's way as it is.
-        let physics = Physics::draw(plan, &mut generator(&mesh.name, "/physics", seed, index));
+        let physics = Physics::draw(&plan.physics, &mut generator(&mesh.name, "/physics", seed, index));
         let turn = plan.turn.of(index, &mut rng);
         let points: Vec<Vector3<f64>> = mesh.points().map(|p| turn * p).collect();
         let low = points.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);

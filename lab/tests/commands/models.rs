@@ -17,156 +17,133 @@ fn good(args: &[&str]) -> serde_json::Value {
     serde_json::from_slice(&run.stdout).unwrap_or_default()
 }
 
-#[test]
-fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let (plan, sweeps, model, out) = (path("plan.toml"), path("sweeps"), path("model"), path("track.csv"));
-    std::fs::write(&plan, "rate_hz = 10.0\nmost_mm = 60.0\n").unwrap();
-    let objects = ["--object", "ball", "--object", "block", "--object", "can"];
-    let simulate = ["simulate", "--sweeps", "4", "--plan", &plan, "--out", &sweeps];
-    good(&[&simulate[..], &objects[..]].concat());
-    let train = ["train", &sweeps, "--epochs", "1", "--out", &model, "--json"];
-    let card = good(&train);
-    assert_eq!((&card["format"], &card["trained_on_simulation"]), (&"wcal-model/1".into(), &true.into()));
-    assert_eq!(card["objects"]["unseen"].as_array().unwrap().len(), 1);
-    for k in 0..2 {
-        let numbers = |key: &str| -> Vec<f64> {
-            let of = card["sd_on_bench"][k][key].as_array().unwrap();
-            of.iter().map(|x| x.as_f64().unwrap()).collect()
+/// The session whose readings are tracked.
+const SESSION: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../fixtures/practice/case-004");
+
+/// A table of a track.
+struct Table {
+    names: Vec<String>,
+    rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    fn read(path: &str) -> Self {
+        let written = std::fs::read_to_string(path).unwrap();
+        let mut lines = written.lines().map(|l| l.split(',').map(str::to_owned).collect());
+        Self { names: lines.next().unwrap(), rows: lines.collect() }
+    }
+
+    fn column(&self, name: &str) -> usize {
+        self.names.iter().position(|n| n == name).unwrap()
+    }
+
+    fn number(&self, row: usize, name: &str) -> Option<f64> {
+        self.rows[row][self.column(name)].parse().ok()
+    }
+
+    fn statuses(&self) -> impl Iterator<Item = &str> {
+        let status = self.column("status");
+        self.rows.iter().map(move |r| r[status].as_str())
+    }
+}
+
+/// A folder with sweeps, a model trained on them, a calibration and tracks through both.
+struct Place(tempfile::TempDir);
+
+impl Place {
+    fn path(&self, name: &str) -> String {
+        self.0.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    /// `wcal track` of a table into a file of the folder.
+    fn track(&self, table: &str, out: &str, more: &[&str]) -> Output {
+        let [calibration, model, out] = ["fit/calibration.json", "model", out].map(|name| self.path(name));
+        let track = ["track", table, "--calibration", &calibration, "--model", &model, "--out", &out];
+        wcal(&[&track, more].concat())
+    }
+
+    /// The session's readings through both, by force: nobody verified the calibration.
+    fn track_session(&self, out: &str, more: &[&str]) -> Table {
+        let table = format!("{SESSION}/points.csv");
+        doubted(&self.track(&table, out, &[more, &["--force"]].concat()));
+        Table::read(&self.path(out))
+    }
+
+    fn train(&self) {
+        let (plan, sweeps, model) = (self.path("plan.toml"), self.path("sweeps"), self.path("model"));
+        std::fs::write(&plan, "rate_hz = 10.0\nmost_mm = 60.0\n").unwrap();
+        let objects = ["--object", "ball", "--object", "block", "--object", "can"];
+        let simulate = ["simulate", "--sweeps", "4", "--plan", &plan, "--out", &sweeps];
+        good(&[&simulate[..], &objects[..]].concat());
+        let card = good(&["train", &sweeps, "--epochs", "1", "--out", &model, "--json"]);
+        assert_eq!((&card["format"], &card["trained_on_simulation"]), (&"wcal-model/1".into(), &true.into()));
+        assert_eq!(card["objects"]["unseen"].as_array().unwrap().len(), 1);
+        for k in 0..2 {
+            let numbers = |key: &str| -> Vec<f64> {
+                let of = card["sd_on_bench"][k][key].as_array().unwrap();
+                of.iter().map(|x| x.as_f64().unwrap()).collect()
+            };
+            let (at_mm, factors) = (numbers("at_mm"), numbers("factors"));
+            assert!(
+                at_mm.len() == factors.len() && at_mm.is_sorted() && factors.iter().all(|f| *f > 0.0),
+                "{card}"
+            );
+        }
+    }
+
+    fn evaluate(&self) {
+        // A bench whose session `verify` explains; that of seed 1 leaves an unknown effect, and no calibration by effects.
+        let (sweeps, model, out) = (self.path("sweeps"), self.path("model"), self.path("evaluation"));
+        let evaluate = ["evaluate", &sweeps, "--model", &model, "--sweeps-each", "2", "--seed", "2"];
+        let scores = good(&[&evaluate[..], &["--out", &out, "--json"]].concat());
+        // The objects set aside: two draws, the network with and without the base's speed, the filter with it.
+        assert_eq!(scores["test_objects"]["rows"].as_array().unwrap().len(), 6, "{scores}");
+        assert_eq!(scores["simulated"], true);
+        // Six methods on the unseen object and on the sweep kept back.
+        assert_eq!(scores["methods"].as_array().unwrap().len(), 12, "{scores}");
+        assert_eq!(scores["virtual_real"]["virtual"], true);
+        assert!(scores["virtual_real"]["worst_mm"].as_f64().unwrap() > 0.0, "{scores}");
+        // Known motion on the bench's session, beside its bound.
+        let known = &scores["known_motion"];
+        let ratio = known["error_over_bound"].as_f64().unwrap();
+        assert!(ratio > 0.2 && known["bound_mm"].as_f64().unwrap() > 0.0, "{known}");
+        assert!(Path::new(&self.path("evaluation/evaluation.json")).exists());
+        // Every error of several sweeps has its interval.
+        let within = |row: &serde_json::Value, key: &str| {
+            let interval = &row["interval95"][key];
+            let [low, value, high] = [&interval[0], &row[key], &interval[1]].map(|v| v.as_f64().unwrap());
+            assert!(low <= value && value <= high, "{key}: {low} {value} {high}");
         };
-        let (at_mm, factors) = (numbers("at_mm"), numbers("factors"));
-        assert!(
-            at_mm.len() == factors.len() && at_mm.is_sorted() && factors.iter().all(|f| *f > 0.0),
-            "{card}"
-        );
+        within(&scores["virtual_real"], "worst_mm");
+        within(&scores["virtual_real"], "unseen_mean_mm");
+        // One sweep was kept back of those seen, several are of the unseen object.
+        let unseen = scores["methods"].as_array().unwrap().iter().find(|m| m["set"] == "unseen").unwrap();
+        within(unseen, "rmse_mm");
     }
-    // A bench whose session `verify` explains; that of seed 1 leaves an unknown effect, and no calibration by effects.
-    let evaluate = ["evaluate", &sweeps, "--model", &model, "--sweeps-each", "2", "--seed", "2"];
-    let scores = good(&[&evaluate[..], &["--out", &path("evaluation"), "--json"]].concat());
-    // The objects set aside: two draws, the network with and without the base's speed, the filter with it.
-    assert_eq!(scores["test_objects"]["rows"].as_array().unwrap().len(), 6, "{scores}");
-    assert_eq!(scores["simulated"], true);
-    // Six methods on the unseen object and on the sweep kept back.
-    assert_eq!(scores["methods"].as_array().unwrap().len(), 12, "{scores}");
-    assert_eq!(scores["virtual_real"]["virtual"], true);
-    assert!(scores["virtual_real"]["worst_mm"].as_f64().unwrap() > 0.0, "{scores}");
-    // Known motion on the bench's session, beside its bound.
-    let known = &scores["known_motion"];
-    let ratio = known["error_over_bound"].as_f64().unwrap();
-    assert!(ratio > 0.2 && known["bound_mm"].as_f64().unwrap() > 0.0, "{known}");
-    assert!(Path::new(&path("evaluation/evaluation.json")).exists());
-    // Every error of several sweeps has its interval.
-    let within = |row: &serde_json::Value, key: &str| {
-        let interval = &row["interval95"][key];
-        let [low, value, high] = [&interval[0], &row[key], &interval[1]].map(|v| v.as_f64().unwrap());
-        assert!(low <= value && value <= high, "{key}: {low} {value} {high}");
-    };
-    within(&scores["virtual_real"], "worst_mm");
-    within(&scores["virtual_real"], "unseen_mean_mm");
-    // One sweep was kept back of those seen, several are of the unseen object.
-    let unseen = scores["methods"].as_array().unwrap().iter().find(|m| m["set"] == "unseen").unwrap();
-    within(unseen, "rmse_mm");
-    let session = concat!(env!("CARGO_MANIFEST_DIR"), "/../fixtures/practice/case-004");
-    good(&["fit-gpr", session, "--out", &path("fit")]);
-    let (table, calibration) = (format!("{session}/points.csv"), path("fit/calibration.json"));
-    let track = ["track", &table, "--calibration", &calibration, "--model", &model, "--sweep", "--out", &out];
-    let run = wcal(&track);
-    assert_eq!(run.status.code(), Some(4), "{}", text(&run.stderr));
-    assert!(text(&run.stderr).contains("never verified") && !Path::new(&out).exists());
-    let run = wcal(&[&track[..], &["--force"]].concat());
-    doubted(&run);
-    let written = std::fs::read_to_string(&out).unwrap();
-    let mut lines = written.lines();
-    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
-    let doubtful = names.iter().position(|n| *n == "calibration_doubtful").unwrap();
-    let rows: Vec<Vec<&str>> = lines.map(|l| l.split(',').collect()).collect();
-    assert_eq!(rows.len(), std::fs::read_to_string(&table).unwrap().lines().count() - 1);
-    assert!(rows.iter().all(|r| r.len() == names.len() && r[doubtful] == "1"), "every row says so");
 
-    let summary: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(path("track.json")).unwrap()).unwrap();
-    let of_segments: u64 =
-        summary["segments"].as_array().unwrap().iter().map(|s| s["rows"].as_u64().unwrap()).sum();
-    let segment = names.iter().position(|n| *n == "segment").unwrap();
-    assert_eq!(rows.iter().filter(|r| !r[segment].is_empty()).count() as u64, of_segments);
-    // What makes the exit code 3 is marked row by row.
-    let status = names.iter().position(|n| *n == "status").unwrap();
-    let marked = rows.iter().filter(|r| r[status].split('|').any(|s| s == "motion-assumed")).count() as u64;
-    assert!(marked > 0 && summary["motion_assumed_rows"] == marked, "{marked}: {summary}");
-    // Control: nobody vouches for the motion, and no row that states a contact is ok any more.
-    let unvouched = path("unvouched.csv");
-    let args: Vec<&str> = track
-        .iter()
-        .filter(|a| **a != "--sweep")
-        .map(|a| if *a == out { unvouched.as_str() } else { *a })
-        .collect();
-    let run = wcal(&[&args[..], &["--force"]].concat());
-    doubted(&run);
-    let assumed = std::fs::read_to_string(&unvouched).unwrap();
-    let assumed: Vec<Vec<&str>> = assumed.lines().skip(1).map(|l| l.split(',').collect()).collect();
-    let contact = names.iter().position(|n| *n == "contact_probability").unwrap();
-    let ok = |rows: &[Vec<&str>]| {
-        rows.iter().filter(|r| r[status] == "ok" && r[contact].parse::<f64>().is_ok_and(|p| p > 0.6)).count()
-    };
-    assert_eq!(ok(&assumed), 0, "{}", text(&run.stderr));
-
-    // The first reading as the zero: every row moves by the same moments.
-    let tared = path("tared.csv");
-    let first: Vec<&str> = track.iter().map(|a| if *a == out { tared.as_str() } else { *a }).collect();
-    let run = wcal(&[&first[..], &["--force", "--tare-s", "0.001"]].concat());
-    doubted(&run);
-    let after = std::fs::read_to_string(&tared).unwrap();
-    let after: Vec<Vec<&str>> = after.lines().skip(1).map(|l| l.split(',').collect()).collect();
-    let column = names.iter().position(|n| *n == "moment_1_nmm").unwrap();
-    let value = |rows: &[Vec<&str>], k: usize| rows[k][column].parse::<f64>().unwrap();
-    assert_eq!(value(&after, 0), 0.0);
-    let zero = value(&rows, 0);
-    assert!(
-        zero.abs() > 1e-5
-            && (0..rows.len()).all(|k| (value(&rows, k) - value(&after, k) - zero).abs() < 3e-6)
-    );
-
-    // A stream's spread is that of a bench: twice the factor, four times the covariance.
-    let place = path("model/model.json");
-    let mut card: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(&place).unwrap()).unwrap();
-    for factor in
-        card["sd_on_bench"].as_array_mut().unwrap().iter_mut().flat_map(|by| by["factors"].as_array_mut())
-    {
-        factor.iter_mut().for_each(|f| *f = (2.0 * f.as_f64().unwrap()).into());
+    /// A stream's spread is that of a bench: twice the factor, four times the covariance.
+    fn spread_follows_the_card(&self, rows: &Table) {
+        let place = self.path("model/model.json");
+        let mut card: serde_json::Value =
+            serde_json::from_str(&std::fs::read_to_string(&place).unwrap()).unwrap();
+        for factor in
+            card["sd_on_bench"].as_array_mut().unwrap().iter_mut().flat_map(|by| by["factors"].as_array_mut())
+        {
+            factor.iter_mut().for_each(|f| *f = (2.0 * f.as_f64().unwrap()).into());
+        }
+        std::fs::write(&place, card.to_string()).unwrap();
+        let wider = self.track_session("wider.csv", &["--sweep"]);
+        // Rows whose motion is not known to be one of training are not the network's alone: what the moments tell counts as well.
+        let trained = rows.statuses().enumerate().filter(|(_, status)| !status.contains("motion-assumed"));
+        let ratios: Vec<f64> = trained
+            .filter_map(|(k, _)| Some(wider.number(k, "var_xx_mm2")? / rows.number(k, "var_xx_mm2")?))
+            .collect();
+        assert!(ratios.len() > 5 && ratios.iter().all(|r| (r - 4.0).abs() < 0.05), "{ratios:?}");
     }
-    std::fs::write(&place, card.to_string()).unwrap();
-    let wider = path("wider.csv");
-    let twice: Vec<&str> = track.iter().map(|a| if *a == out { wider.as_str() } else { *a }).collect();
-    doubted(&wcal(&[&twice[..], &["--force"]].concat()));
-    let wider = std::fs::read_to_string(&wider).unwrap();
-    let wider: Vec<Vec<&str>> = wider.lines().skip(1).map(|l| l.split(',').collect()).collect();
-    let column = names.iter().position(|n| *n == "var_xx_mm2").unwrap();
-    let value = |row: &[&str]| row[column].parse::<f64>().ok();
-    // Rows whose motion is not known to be one of training are not the network's alone: what the moments tell counts as well.
-    let trained = rows.iter().zip(&wider).filter(|(a, _)| !a[status].contains("motion-assumed"));
-    let ratios: Vec<f64> = trained.filter_map(|(a, b)| Some(value(b)? / value(a)?)).collect();
-    assert!(ratios.len() > 5 && ratios.iter().all(|r| (r - 4.0).abs() < 0.05), "{ratios:?}");
 
-    // Damage and lack are named.
-    let timeless = path("timeless.csv");
-    std::fs::write(&timeless, "point,fbg_1_shift_nm,fbg_2_shift_nm\n0,0.1,0.1\n").unwrap();
-    let run = wcal(&[
-        "track",
-        &timeless,
-        "--calibration",
-        &calibration,
-        "--model",
-        &model,
-        "--out",
-        &out,
-        "--force",
-    ]);
-    assert_eq!(run.status.code(), Some(1));
-    assert!(text(&run.stderr).contains("t_s"), "{}", text(&run.stderr));
-    // Without the strain-isolated grating that the calibration needs; control: with it, and with poses of the base.
-    let table_of = |reference: bool| {
+    /// `wcal track` of readings with poses of the base, with or without the strain-isolated grating that the calibration needs; one reading
+    /// lacks its value.
+    fn track_carried(&self, reference: bool) -> Output {
         let mut rows = String::from(
             "t_s,fbg_1_nm,fbg_2_nm,base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz",
         );
@@ -174,47 +151,93 @@ fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
         for k in 0..20 {
             let (t, z) = (0.1 * f64::from(k), 0.4 * f64::from(k));
             rows += &format!("{t},1545.249,1543.606,7,0,{z},1,0,0,0");
-            rows += if reference && k != 12 {
-                ",1542.461\n"
-            } else if reference {
-                ",\n"
-            } else {
-                "\n"
+            rows += match reference {
+                true if k != 12 => ",1542.461\n",
+                true => ",\n",
+                false => "\n",
             };
         }
-        let file = path(if reference { "carried.csv" } else { "unreferenced.csv" });
+        let file = self.path(if reference { "carried.csv" } else { "unreferenced.csv" });
         std::fs::write(&file, rows).unwrap();
-        wcal(&["track", &file, "--calibration", &calibration, "--model", &model, "--out", &out, "--force"])
-    };
-    let run = table_of(false);
-    assert_eq!(run.status.code(), Some(1));
-    assert!(text(&run.stderr).contains("fbg_ref_nm"), "{}", text(&run.stderr));
-    // Other files beside an earlier track stay.
-    let own = path("track-notes.txt");
-    std::fs::write(&own, "earlier").unwrap();
-    let run = table_of(true);
-    assert!(Path::new(&own).exists());
-    assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
-    let written = std::fs::read_to_string(&out).unwrap();
-    let rows: Vec<Vec<&str>> = written.lines().skip(1).map(|l| l.split(',').collect()).collect();
-    let number = |row: usize, name: &str| -> Option<f64> {
-        let header: Vec<&str> = written.lines().next().unwrap().split(',').collect();
-        rows[row][header.iter().position(|n| *n == name).unwrap()].parse().ok()
-    };
-    // The reading without its reference is flagged and has no contact.
-    assert!(rows[12].contains(&"reference-lost") && number(12, "contact_x_mm").is_none(), "{:?}", rows[12]);
-    assert!(rows[11].contains(&"ok") && rows[11].contains(&"unverified|other-whisker"), "{:?}", rows[11]);
-    assert!((number(11, "base_speed_mm_s").unwrap() - 4.0).abs() < 1e-6);
-    let moved = |axis: &str| {
-        number(11, &format!("world_{axis}_mm")).unwrap() - number(11, &format!("contact_{axis}_mm")).unwrap()
-    };
-    assert!((moved("x") - 7.0).abs() < 1e-3 && (moved("z") - 4.4).abs() < 1e-3);
-    let weights = path("model/model.safetensors");
-    let bytes = std::fs::read(&weights).unwrap();
-    std::fs::write(&weights, &bytes[..bytes.len() / 2]).unwrap();
-    let run = wcal(&track);
-    assert_eq!(run.status.code(), Some(1));
-    assert!(text(&run.stderr).contains("model.safetensors"), "{}", text(&run.stderr));
+        self.track(&file, "track.csv", &["--force"])
+    }
+
+    /// Damage and lack are named.
+    fn damage_is_named(&self) {
+        let timeless = self.path("timeless.csv");
+        std::fs::write(&timeless, "point,fbg_1_shift_nm,fbg_2_shift_nm\n0,0.1,0.1\n").unwrap();
+        let refused = |run: &Output, word: &str| {
+            let said = text(&run.stderr);
+            assert!(run.status.code() == Some(1) && said.contains(word), "{word}: {said}");
+        };
+        refused(&self.track(&timeless, "track.csv", &["--force"]), "t_s");
+        refused(&self.track_carried(false), "fbg_ref_nm");
+        // Other files beside an earlier track stay.
+        let own = self.path("track-notes.txt");
+        std::fs::write(&own, "earlier").unwrap();
+        let run = self.track_carried(true);
+        assert!(Path::new(&own).exists());
+        assert_eq!(run.status.code(), Some(3), "{}", text(&run.stderr));
+        let carried = Table::read(&self.path("track.csv"));
+        let has = |row: usize, cell: &str| carried.rows[row].iter().any(|c| c == cell);
+        // The reading without its reference is flagged and has no contact.
+        assert!(has(12, "reference-lost"), "{:?}", carried.rows[12]);
+        assert!(carried.number(12, "contact_x_mm").is_none(), "{:?}", carried.rows[12]);
+        assert!(has(11, "ok") && has(11, "unverified|other-whisker"), "{:?}", carried.rows[11]);
+        let number = |name: &str| carried.number(11, name).unwrap();
+        assert!((number("base_speed_mm_s") - 4.0).abs() < 1e-6);
+        let moved = |axis: &str| number(&format!("world_{axis}_mm")) - number(&format!("contact_{axis}_mm"));
+        assert!((moved("x") - 7.0).abs() < 1e-3 && (moved("z") - 4.4).abs() < 1e-3);
+        let weights = self.path("model/model.safetensors");
+        let bytes = std::fs::read(&weights).unwrap();
+        std::fs::write(&weights, &bytes[..bytes.len() / 2]).unwrap();
+        refused(
+            &self.track(&format!("{SESSION}/points.csv"), "track.csv", &["--sweep"]),
+            "model.safetensors",
+        );
+    }
+}
+
+#[test]
+fn sweeps_become_a_model_that_tracks_and_says_what_it_leans_on() {
+    let place = Place(tempfile::tempdir().unwrap());
+    place.train();
+    place.evaluate();
+    good(&["fit-gpr", SESSION, "--out", &place.path("fit")]);
+    let points = format!("{SESSION}/points.csv");
+    let run = place.track(&points, "track.csv", &["--sweep"]);
+    assert_eq!(run.status.code(), Some(4), "{}", text(&run.stderr));
+    assert!(text(&run.stderr).contains("never verified") && !Path::new(&place.path("track.csv")).exists());
+    let track = place.track_session("track.csv", &["--sweep"]);
+    let doubtful = track.column("calibration_doubtful");
+    assert_eq!(track.rows.len(), std::fs::read_to_string(&points).unwrap().lines().count() - 1);
+    assert!(
+        track.rows.iter().all(|r| r.len() == track.names.len() && r[doubtful] == "1"),
+        "every row says so"
+    );
+
+    let summary: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(place.path("track.json")).unwrap()).unwrap();
+    let of_segments: u64 =
+        summary["segments"].as_array().unwrap().iter().map(|s| s["rows"].as_u64().unwrap()).sum();
+    let segment = track.column("segment");
+    assert_eq!(track.rows.iter().filter(|r| !r[segment].is_empty()).count() as u64, of_segments);
+    // What makes the exit code 3 is marked row by row.
+    let marked = track.statuses().filter(|s| s.split('|').any(|s| s == "motion-assumed")).count() as u64;
+    assert!(marked > 0 && summary["motion_assumed_rows"] == marked, "{marked}: {summary}");
+    // Control: nobody vouches for the motion, and no row that states a contact is ok any more.
+    let assumed = place.track_session("unvouched.csv", &[]);
+    let contact = |k: usize| assumed.number(k, "contact_probability").is_some_and(|p| p > 0.6);
+    assert_eq!(assumed.statuses().enumerate().filter(|(k, s)| *s == "ok" && contact(*k)).count(), 0);
+    // The first reading as the zero: every row moves by the same moments.
+    let after = place.track_session("tared.csv", &["--sweep", "--tare-s", "0.001"]);
+    let moment = |table: &Table, k: usize| table.number(k, "moment_1_nmm").unwrap();
+    assert_eq!(moment(&after, 0), 0.0);
+    let zero = moment(&track, 0);
+    let same = |k: usize| (moment(&track, k) - moment(&after, k) - zero).abs() < 3e-6;
+    assert!(zero.abs() > 1e-5 && (0..track.rows.len()).all(same));
+    place.spread_follows_the_card(&track);
+    place.damage_is_named();
 }
 
 /// Trained with additional sweeps with friction, begun with another model.

@@ -20,7 +20,7 @@ const SEND: Duration = Duration::from_secs(3);
 /// What the system says, or `TimedOut` when the deadline is over.
 pub(crate) fn connect(address: &str, deadline: &Deadline) -> io::Result<TcpStream> {
     let (sender, receiver) = channel();
-    let (target, allowed) = (address.to_owned(), deadline.left().max(Duration::from_millis(1)));
+    let (target, allowed) = (address.to_owned(), deadline.remaining().max(Duration::from_millis(1)));
     let work = move || {
         let mut last = io::Error::new(ErrorKind::NotFound, "no such host");
         for one in target.to_socket_addrs()? {

@@ -1,7 +1,6 @@
 //! Why a device could not be opened, in words that say what to do.
 
 use crate::host::is_timeout;
-use crate::zaber::Port;
 use std::io::{Error, ErrorKind};
 use std::net::IpAddr;
 use std::os::unix::fs::MetadataExt;
@@ -37,23 +36,18 @@ pub(crate) fn of_connection(device: &str, address: &str, error: &Error, deadline
     fail(DeviceErrorKind::Disconnected, device, "a listening unit", &found)
 }
 
-/// A port of a chain that was not opened.
-pub(crate) fn of_port(device: &str, port: &Port, error: &Error, deadline: &Deadline) -> DeviceError {
-    match port {
-        Port::Tcp(address) => of_connection(device, address, error, deadline),
-        Port::Serial(path, _) => {
-            let found = match error.kind() {
-                ErrorKind::NotFound => absent(path),
-                ErrorKind::PermissionDenied => forbidden(path),
-                ErrorKind::ResourceBusy => busy(path, Path::new("/proc")),
-                _ if is_timeout(error) => {
-                    return deadline.error(device, "open", "an open port", "none");
-                }
-                _ => format!("{error} at {path}"),
-            };
-            fail(DeviceErrorKind::Disconnected, device, "a free serial port", &found)
+/// A serial port that was not opened.
+pub(crate) fn of_serial_port(device: &str, path: &str, error: &Error, deadline: &Deadline) -> DeviceError {
+    let found = match error.kind() {
+        ErrorKind::NotFound => absent(path),
+        ErrorKind::PermissionDenied => forbidden(path),
+        ErrorKind::ResourceBusy => busy(path, Path::new("/proc")),
+        _ if is_timeout(error) => {
+            return deadline.error(device, "open", "an open port", "none");
         }
-    }
+        _ => format!("{error} at {path}"),
+    };
+    fail(DeviceErrorKind::Disconnected, device, "a free serial port", &found)
 }
 
 fn fail(kind: DeviceErrorKind, device: &str, expected: &str, found: &str) -> DeviceError {
@@ -123,13 +117,19 @@ mod tests {
     use super::*;
     use std::time::Duration;
 
-    fn said(port: &Port, kind: ErrorKind) -> String {
-        of_port("stage", port, &kind.into(), &Deadline::whatever_happens(Duration::from_secs(1))).to_string()
+    fn said(path: &str, kind: ErrorKind) -> String {
+        let deadline = Deadline::whatever_happens(Duration::from_secs(1));
+        of_serial_port("stage", path, &kind.into(), &deadline).to_string()
+    }
+
+    fn said_of_address(address: &str, kind: ErrorKind) -> String {
+        let deadline = Deadline::whatever_happens(Duration::from_secs(1));
+        of_connection("stage", address, &kind.into(), &deadline).to_string()
     }
 
     #[test]
     fn absent_forbidden_busy_and_anything_else_are_four_messages() {
-        let port = Port::Serial("/dev/ttyNONE".to_owned(), 9600);
+        let port = "/dev/ttyNONE";
         let words = [
             (ErrorKind::NotFound, "no /dev/ttyNONE: is the cable plugged in? serial ports under /dev: "),
             (ErrorKind::PermissionDenied, "no permission for /dev/ttyNONE: its group is dialout"),
@@ -137,7 +137,7 @@ mod tests {
             (ErrorKind::InvalidData, "invalid data at /dev/ttyNONE"),
         ];
         for (kind, word) in words {
-            let said = said(&port, kind);
+            let said = said(port, kind);
             assert!(said.contains(word), "{said}");
             let others = words.iter().filter(|(other, _)| *other != kind);
             assert!(others.into_iter().all(|(_, word)| !said.contains(word)), "control: {said}");
@@ -165,7 +165,7 @@ mod tests {
 
     #[test]
     fn a_refused_connection_and_a_placeholder_say_what_to_do() {
-        let refused = |address: &str| said(&Port::Tcp(address.to_owned()), ErrorKind::ConnectionRefused);
+        let refused = |address: &str| said_of_address(address, ErrorKind::ConnectionRefused);
         for address in ["127.0.0.1:4000", "localhost:4000", "[::1]:4000"] {
             let said = refused(address);
             assert!(
@@ -175,9 +175,9 @@ mod tests {
         }
         let real = refused("10.0.0.126:1852");
         assert!(real.contains("is the unit switched on") && !real.contains("virtual-bench"), "{real}");
-        let rig = said(&Port::Tcp("127.0.0.1:PORT".to_owned()), ErrorKind::InvalidInput);
+        let rig = said_of_address("127.0.0.1:PORT", ErrorKind::InvalidInput);
         assert!(rig.contains("the placeholder PORT in 127.0.0.1:PORT: `--bench"), "{rig}");
-        let port = said(&Port::Tcp("127.0.0.1:40000".to_owned()), ErrorKind::InvalidInput);
+        let port = said_of_address("127.0.0.1:40000", ErrorKind::InvalidInput);
         assert!(!port.contains("placeholder"), "control: {port}");
     }
 }

@@ -1,5 +1,6 @@
 //! The exam: draws sessions, has `wcal verify` judge them, and scores the answers against what was put in.
 
+mod goal;
 pub mod orders;
 mod pictures;
 mod run;

@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use wcal_plant::PlantError;
-use wcal_plant::adversarial::Tampering;
+use wcal_plant::case::Tampering;
 use wcal_plant::case::{Case, CaseKind, Make, PictureSetup, Request};
 use wcal_plant::effects::Kind;
 use wcal_plant::layout::Design;

@@ -1,7 +1,7 @@
 //! Scores of sessions that cameras look at, beside the same sessions without pictures.
 
+use crate::goal::{Goal, Side, number, share};
 use crate::score::{Kind, Outcome};
-use crate::summary::{Goal, Side, number, share};
 
 /// Effects of the cameras' setup.
 const CAMERAS: [&str; 4] = ["camera-pose", "board-scale", "rig-tag", "picture-clock"];

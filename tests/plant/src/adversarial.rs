@@ -2,77 +2,7 @@
 
 use rand::{Rng, RngExt};
 
-use crate::case::Case;
-
-/// One kind of tampering.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Tampering {
-    /// Replicate 2 is a copy of replicate 1, values and all.
-    FakeReplicates,
-    /// Two readings of one trajectory have changed places.
-    SwappedPoses,
-    /// Channel 1 has its sign turned (about the nominal) over a block of rows.
-    SignError,
-    /// Groove coordinates in metres.
-    GrooveInMetres,
-    /// Stage positions in micrometres.
-    StageInMicrometres,
-    /// The clock of a block of rows is late by minutes.
-    ClockShift,
-    /// The clock runs backwards.
-    ClockBackwards,
-    /// Holdout rows are copies of points.
-    CopiedHoldout,
-    /// Temperature and reference columns never change.
-    FrozenReference,
-}
-
-impl Tampering {
-    /// Every trick.
-    pub const ALL: [Self; 9] = [
-        Self::FakeReplicates,
-        Self::SwappedPoses,
-        Self::SignError,
-        Self::GrooveInMetres,
-        Self::StageInMicrometres,
-        Self::ClockShift,
-        Self::ClockBackwards,
-        Self::CopiedHoldout,
-        Self::FrozenReference,
-    ];
-
-    /// Name in truth.json.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::FakeReplicates => "fake-replicates",
-            Self::SwappedPoses => "swapped-poses",
-            Self::SignError => "sign-error",
-            Self::GrooveInMetres => "groove-in-metres",
-            Self::StageInMicrometres => "stage-in-micrometres",
-            Self::ClockShift => "clock-shift",
-            Self::ClockBackwards => "clock-backwards",
-            Self::CopiedHoldout => "copied-holdout",
-            Self::FrozenReference => "frozen-reference",
-        }
-    }
-
-    /// Verdicts that are no confident wrong name. `effect:NAME` stands for a verdict that names just that.
-    pub fn expected(self) -> &'static [&'static str] {
-        match self {
-            Self::FakeReplicates => &["refused", "adequate"],
-            // Two readings out of place are outliers.
-            Self::SwappedPoses => &["refused", "unknown-effect", "effect:slip-outliers"],
-            Self::SignError => &["refused", "unknown-effect", "effect:slip-outliers"],
-            Self::GrooveInMetres => &["refused"],
-            // The groove columns are right; only effects of the stage lose their footing.
-            Self::StageInMicrometres => &["refused", "adequate"],
-            Self::ClockShift | Self::ClockBackwards => &["refused", "adequate"],
-            Self::CopiedHoldout => &["refused"],
-            // What is left is the temperature itself: a mismatch by the full 10 pm/degC drives it.
-            Self::FrozenReference => &["refused", "unknown-effect"],
-        }
-    }
-}
+use crate::case::{Case, Tampering};
 
 /// Applies a trick to a drawn (effect-free) session.
 pub fn tamper(case: &mut Case, trick: Tampering, rng: &mut impl Rng) {

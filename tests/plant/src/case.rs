@@ -7,13 +7,92 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use crate::PlantError;
-use crate::adversarial::Tampering;
 use crate::bench::Bench;
 use crate::effects::{Effect, Kind};
 use crate::layout::{Design, PlannedRow};
 use crate::noise::Law;
-use crate::rivals::Rival;
 use crate::shapes::{Cameras, Fault, WireAtPose, shapes_json};
+
+/// One kind of tampering.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Tampering {
+    /// Replicate 2 is a copy of replicate 1, values and all.
+    FakeReplicates,
+    /// Two readings of one trajectory have changed places.
+    SwappedPoses,
+    /// Channel 1 has its sign turned (about the nominal) over a block of rows.
+    SignError,
+    /// Groove coordinates in metres.
+    GrooveInMetres,
+    /// Stage positions in micrometres.
+    StageInMicrometres,
+    /// The clock of a block of rows is late by minutes.
+    ClockShift,
+    /// The clock runs backwards.
+    ClockBackwards,
+    /// Holdout rows are copies of points.
+    CopiedHoldout,
+    /// Temperature and reference columns never change.
+    FrozenReference,
+}
+
+impl Tampering {
+    /// Every trick.
+    pub const ALL: [Self; 9] = [
+        Self::FakeReplicates,
+        Self::SwappedPoses,
+        Self::SignError,
+        Self::GrooveInMetres,
+        Self::StageInMicrometres,
+        Self::ClockShift,
+        Self::ClockBackwards,
+        Self::CopiedHoldout,
+        Self::FrozenReference,
+    ];
+
+    /// Name in truth.json.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::FakeReplicates => "fake-replicates",
+            Self::SwappedPoses => "swapped-poses",
+            Self::SignError => "sign-error",
+            Self::GrooveInMetres => "groove-in-metres",
+            Self::StageInMicrometres => "stage-in-micrometres",
+            Self::ClockShift => "clock-shift",
+            Self::ClockBackwards => "clock-backwards",
+            Self::CopiedHoldout => "copied-holdout",
+            Self::FrozenReference => "frozen-reference",
+        }
+    }
+
+    /// Verdicts that are no confident wrong name. `effect:NAME` stands for a verdict that names just that.
+    pub fn expected(self) -> &'static [&'static str] {
+        match self {
+            Self::FakeReplicates => &["refused", "adequate"],
+            // Two readings out of place are outliers.
+            Self::SwappedPoses => &["refused", "unknown-effect", "effect:slip-outliers"],
+            Self::SignError => &["refused", "unknown-effect", "effect:slip-outliers"],
+            Self::GrooveInMetres => &["refused"],
+            // The groove columns are right; only effects of the stage lose their footing.
+            Self::StageInMicrometres => &["refused", "adequate"],
+            Self::ClockShift | Self::ClockBackwards => &["refused", "adequate"],
+            Self::CopiedHoldout => &["refused"],
+            // What is left is the temperature itself: a mismatch by the full 10 pm/degC drives it.
+            Self::FrozenReference => &["refused", "unknown-effect"],
+        }
+    }
+}
+
+/// The effect of the catalogue that comes nearest to a session's readings.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Rival {
+    /// Identifier.
+    pub id: String,
+    /// What it leaves unexplained, in noises (linearised, every parameter free).
+    pub sigma: f64,
+    /// Effects of the catalogue, this one among them, that leave less than three noises: the data cannot tell them from the truth.
+    pub within_three: usize,
+}
 
 /// What a session shall contain.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,25 +1,13 @@
 //! What an examiner who knows the physics can say beforehand: the oracle's error, and the nearest rival effect.
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
-use serde::Serialize;
 use std::collections::BTreeSet;
 
 use crate::PlantError;
-use crate::case::Reading;
+use crate::case::{Reading, Rival};
 use crate::effects::{Effect, Kind};
 use crate::noise::Outlier;
 use crate::simulate::{NoiseFree, Plant, moments};
-
-/// The effect of the catalogue that comes nearest to a session's readings.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Rival {
-    /// Identifier.
-    pub id: String,
-    /// What it leaves unexplained, in noises (linearised, every parameter free).
-    pub sigma: f64,
-    /// Effects of the catalogue, this one among them, that leave less than three noises: the data cannot tell them from the truth.
-    pub within_three: usize,
-}
 
 /// Distance (noises) within which data do not decide.
 const UNDECIDED: f64 = 3.0;

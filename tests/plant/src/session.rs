@@ -92,7 +92,8 @@ fn drawn(
         target_reached &= (size / request.target_sigma - 1.0).abs() < 0.05;
         each.insert(kind.name().0.into(), json!((size * 10.0).round() / 10.0));
         if looked.is_some() {
-            let [with, without] = [plant.shown(std::slice::from_ref(&effect))?, plant.shown(&[])?];
+            let [with, without] =
+                [plant.wires_in_groove(std::slice::from_ref(&effect))?, plant.wires_in_groove(&[])?];
             let [with, without] = [with, without].map(|s| s.into_iter().flatten().collect::<Vec<_>>());
             let contact = contact_sigma(&with, &without, &Cameras::default());
             clear &= size >= NEAR_ENOUGH * CLEAR_SIGMA || contact >= CLEAR_CONTACT_SIGMA;
@@ -118,7 +119,7 @@ fn drawn(
         (truth.label, truth.names) = (name.into(), vec![name.into()]);
     }
     let shown = match looked {
-        Some(looked) if looked.pictures => points_shown(&readings, plant.shown(&effects)?),
+        Some(looked) if looked.pictures => points_shown(&readings, plant.wires_in_groove(&effects)?),
         _ => Vec::new(),
     };
     let mut case = Case { bench: plant.bench.clone(), readings, truth, effects, declared, looked, shown };
@@ -347,7 +348,7 @@ impl Case {
         let rows: Vec<PlannedRow> = self.readings.iter().map(|r| r.planned.clone()).collect();
         let mut plant = Plant::new(self.bench.clone(), self.bench.trajectories(), rows, &self.truth.noise);
         let (without, with) = (plant.clean(&self.effects)?, plant.clean(effects)?);
-        let shown = plant.shown(effects)?;
+        let shown = plant.wires_in_groove(effects)?;
         let mut case = Self { effects: effects.to_vec(), ..self.clone() };
         for ((reading, a), b) in case.readings.iter_mut().zip(&without).zip(&with) {
             for c in 0..2 {

@@ -99,7 +99,7 @@ impl Plant {
     ///
     /// # Errors
     /// [`PlantError::Wire`] when the rod does not settle.
-    pub fn shown(&mut self, effects: &[Effect]) -> Result<Vec<Option<WireAtPose>>, PlantError> {
+    pub fn wires_in_groove(&mut self, effects: &[Effect]) -> Result<Vec<Option<WireAtPose>>, PlantError> {
         let held = self.held(effects)?;
         let geometry = self.geometry(effects);
         let mut out = vec![None; self.rows.len()];

@@ -5,12 +5,68 @@
 //! tip between first and second touch over that before, divided by the undamped wire's. Damping per joint c = zeta k, from the paper's joints
 //! of length L / 39: zeta = c L / (39 EI). Source of the cantilever: S. Timoshenko, "Strength of Materials".
 
-use super::{Parameters, Score, Targets, ring_down_s};
 use crate::engine::protocol::{Request, Series};
 use crate::mjcf::{MjcfOptions, Touch, WorldParts, mjcf_among};
 use crate::{MujocoEngine, TwinError};
 use nalgebra::Vector3;
+use serde::Serialize;
 use wcal_core::observation::{RestShape, WhiskerSpec};
+
+/// What is fitted.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Parameters {
+    /// Damping of a joint of the paper's cable (39 links), N m s/rad.
+    pub damping_nms_rad: f64,
+    /// Overlap at which the contact's impedance is full, mm.
+    pub width_mm: f64,
+    /// Impedance at touch.
+    pub d0: f64,
+    /// Full impedance, not below `d0`.
+    pub dmax: f64,
+}
+
+/// What is wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Targets {
+    /// Time in which the released wire's base moment falls to 1/e for good, s; not judged without a record.
+    pub ring_down_s: Option<f64>,
+    /// Speed of the bounce over that of the undamped wire; not judged where the recorded wire crept to the plate without a bounce.
+    pub bounce_ratio: Option<f64>,
+    /// Ripple of the sweep's moments, N mm; 0 without a record: as little as can be.
+    pub ripple_nmm: f64,
+    /// Change of the mean moment from 3.2 to 7.7 mm/s, as a share; 0 without a record.
+    pub bias: f64,
+}
+
+/// What a trial gave.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Score {
+    /// Ring-down, s.
+    pub ring_down_s: f64,
+    /// Bounce over the undamped wire's.
+    pub bounce_ratio: f64,
+    /// Ripple of the sweep's moments, N mm; none where the sweep was not run.
+    pub ripple_nmm: Option<f64>,
+    /// Change of the mean moment between the sweep's speeds, as a share.
+    pub bias: Option<f64>,
+    /// Deepest overlap, mm.
+    pub overlap_mm: Option<f64>,
+    /// Sum of squares over the units.
+    pub total: f64,
+}
+
+/// Time constant of a ring-down: the last time at which the moment is above 1/e of its start, s. The end's mean is taken off.
+pub fn ring_down_s(time_s: &[f64], moment: &[f64]) -> Option<f64> {
+    let tail = moment.len() / 10;
+    if time_s.len() != moment.len() || tail == 0 {
+        return None;
+    }
+    let rest = moment[moment.len() - tail..].iter().sum::<f64>() / tail as f64;
+    let size = |k: usize| (moment[k] - rest).abs();
+    let start = size(0);
+    let last = (0..moment.len()).rev().find(|k| size(*k) > start / std::f64::consts::E)?;
+    Some(time_s[last] - time_s[0])
+}
 
 /// MuJoCo keeps impedances within these.
 const IMPEDANCES: [f64; 2] = [0.0001, 0.9999];

@@ -27,8 +27,8 @@ impl Frame<'_> {
     }
 }
 
-/// The whole chart.
-pub(super) fn plot(plot: &Plot) -> String {
+/// The chart as an `<svg>` element.
+pub fn svg(plot: &Plot) -> String {
     let (y_ticks, y_label) = plot.y.ticks(((plot.height / 36.0) as usize).max(3));
     let widest = y_ticks.iter().map(|t| text_width(&t.1)).fold(18.0, f64::max);
     let left = widest + 28.0;
@@ -229,7 +229,7 @@ fn marker_path(marker: Marker, x: f64, y: f64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use crate::plot::{Axis, Layer, Marker, Plot};
+    use crate::plot::{Axis, Layer, Marker, Plot, svg};
 
     fn chart(at: Vec<[f64; 2]>, titles: Vec<String>) -> String {
         let x = Axis::covering("x", at.iter().map(|p| p[0]));
@@ -239,7 +239,7 @@ mod tests {
             Layer::Line { class: "s1", at },
             Layer::Band { between: [-1.0, 1.0] },
         ];
-        Plot { title: "t".into(), description: "d".into(), width: 280.0, height: 190.0, x, y, layers }.svg()
+        svg(&Plot { title: "t".into(), description: "d".into(), width: 280.0, height: 190.0, x, y, layers })
     }
 
     #[test]

@@ -4,6 +4,7 @@ mod axis;
 mod draw;
 
 pub use axis::Axis;
+pub use draw::svg;
 
 /// Shape of a point; every series differs in shape as well as in colour.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -79,13 +80,6 @@ pub struct Plot {
     pub y: Axis,
     /// Bottom first.
     pub layers: Vec<Layer>,
-}
-
-impl Plot {
-    /// The chart as an `<svg>` element.
-    pub fn svg(&self) -> String {
-        draw::plot(self)
-    }
 }
 
 /// Coordinate in SVG units with one decimal.

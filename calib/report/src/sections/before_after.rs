@@ -3,7 +3,7 @@
 use crate::input::{IndexEntry, MOMENT_NAMES, ReportInput};
 use crate::markup::{Table, TableCell, escape};
 use crate::number::{NOT_AVAILABLE, join_unit, number, percent, with_interval};
-use crate::plot::{Axis, Layer, Marker, Plot};
+use crate::plot::{Axis, Layer, Marker, Plot, svg};
 use wcal_core::verify_document::{
     GrooveTracking, HeldOutError, HoldoutJudgement, HoldoutOutcome, NoiseFloor, VerifyDocument, WitnessTest,
 };
@@ -147,7 +147,7 @@ fn groove(t: &GrooveTracking) -> String {
 pub(super) fn body(input: &ReportInput) -> String {
     let models = models(input);
     if models.is_empty() {
-        return super::absent("No held-out error was computed in this run.");
+        return super::parts::absent("No held-out error was computed in this run.");
     }
     let errors: Vec<&HeldOutError> = models.iter().map(|m| m.error).collect();
     let quantities = quantities(input, &errors);
@@ -169,7 +169,7 @@ pub(super) fn body(input: &ReportInput) -> String {
     }
     let charts: String = quantities.iter().filter_map(|q| chart(q, &models)).collect();
     if !charts.is_empty() {
-        out += &super::figure(
+        out += &super::parts::figure(
             input.verify.simulated,
             "forest",
             &charts,
@@ -285,7 +285,7 @@ fn rows_chart(title: &str, description: &str, label: &str, rows: &[Row], rule: O
         let ends = row.interval.map(|ends| ends.map(|v| [x.clamp(v), place(k)]));
         layers.push(Layer::Line { class: row.class, at: ends.into_iter().flatten().collect() });
     }
-    Plot {
+    svg(&Plot {
         title: title.into(),
         description: description.into(),
         width: 520.0,
@@ -293,8 +293,7 @@ fn rows_chart(title: &str, description: &str, label: &str, rows: &[Row], rule: O
         x,
         y: Axis::fixed("", 0.0, count).with_ticks(names),
         layers,
-    }
-    .svg()
+    })
 }
 
 /// Errors of one quantity; none where no model has a positive one.

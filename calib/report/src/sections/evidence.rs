@@ -1,6 +1,6 @@
 //! Evidence: gate, explanations, what the pictures say, smallest detectable sizes.
 
-use super::absent;
+use super::parts::absent;
 use crate::input::{EvidenceRow, ReportInput};
 use crate::markup::{Table, TableCell};
 use crate::number::{number, p_value, quantity, unit_text};

@@ -1,6 +1,7 @@
 //! What was found: effects, ambiguity, unknown driver, next measurement.
 
-use super::{absent, joined, residuals};
+use super::parts::{absent, joined};
+use super::residuals;
 use crate::input::ReportInput;
 use crate::markup::{Table, TableCell, escape, paragraph};
 use crate::number::{join_unit, number, p_value, percent, quantity, split_unit, unit_text, with_interval};

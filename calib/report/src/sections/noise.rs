@@ -39,7 +39,7 @@ pub(super) fn body(input: &ReportInput) -> String {
         out += &format!("<p>{source}</p>");
     }
     match input.verify.notes.as_slice() {
-        [] => out += &super::absent("No remarks."),
+        [] => out += &super::parts::absent("No remarks."),
         notes => out += &format!("<div class=\"card warn\"><h3>Remarks</h3>{}</div>", list(notes)),
     }
     out

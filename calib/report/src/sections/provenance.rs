@@ -26,6 +26,6 @@ pub(super) fn body(input: &ReportInput) -> String {
     for file in made.inputs.iter().chain(own) {
         files.row(vec![TableCell::Code(file.path.clone()), TableCell::Code(file.sha256.clone())]);
     }
-    let files = if files.is_empty() { super::absent("No files were recorded.") } else { files.html() };
+    let files = if files.is_empty() { super::parts::absent("No files were recorded.") } else { files.html() };
     facts.html() + &files
 }

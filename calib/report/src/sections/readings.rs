@@ -1,6 +1,6 @@
 //! Rejected readings and the table that leads from every residual back to its file and line.
 
-use super::absent;
+use super::parts::absent;
 use crate::input::ReportInput;
 use crate::markup::{Table, TableCell};
 use crate::number::{join_unit, number, unit_text};

@@ -1,9 +1,9 @@
 //! Residuals against every covariate, before and after.
 
-use super::{absent, distinct, figure, legend, series};
+use super::parts::{absent, distinct, figure, legend, series};
 use crate::input::ReportInput;
 use crate::number::split_unit;
-use crate::plot::{Axis, Layer, Marker, Plot, stride};
+use crate::plot::{Axis, Layer, Marker, Plot, stride, svg};
 use wcal_core::ResidualRecord;
 
 /// Covariates with a place of their own in the order; others follow as they come.
@@ -220,7 +220,7 @@ impl<'a> View<'a> {
             let at = rejected.iter().enumerate().filter_map(|(i, r)| place((i, r))).collect();
             layers.push(Layer::Points { class: "bad", marker: Marker::Cross, at, titles });
         }
-        Plot {
+        svg(&Plot {
             title: title.into(),
             description: format!(
                 "Residuals of {} ({}) against {}, {title}",
@@ -233,8 +233,7 @@ impl<'a> View<'a> {
             x,
             y: y.clone(),
             layers,
-        }
-        .svg()
+        })
     }
 }
 

@@ -1,10 +1,10 @@
 //! Twin check: moments along each trajectory, the rod's branches as lines and the outside labels as markers.
 
-use super::{absent, figure, legend, series};
+use super::parts::{absent, figure, legend, series};
 use crate::input::{MOMENT_NAMES, ReportInput, TwinMark, TwinTrajectory};
 use crate::markup::{Table, TableCell};
 use crate::number::number;
-use crate::plot::{Axis, Layer, Marker, Plot};
+use crate::plot::{Axis, Layer, Marker, Plot, svg};
 
 /// The section: only labels of an outside twin can be checked.
 pub(super) fn body(input: &ReportInput) -> String {
@@ -73,7 +73,7 @@ fn chart(input: &ReportInput, trajectory: &TwinTrajectory) -> String {
         [] => format!("Trajectory {}", trajectory.id),
         some => format!("Trajectory {} – {}", trajectory.id, some.join(", ")),
     };
-    Plot {
+    svg(&Plot {
         description: format!(
             "Moments along trajectory {}: {} labels, {} of them ringed",
             trajectory.id,
@@ -86,6 +86,5 @@ fn chart(input: &ReportInput, trajectory: &TwinTrajectory) -> String {
         x: Axis::covering("stage position (mm)", stages),
         y: Axis::covering("moment (N mm)", moments.chain([0.0])),
         layers,
-    }
-    .svg()
+    })
 }

@@ -4,12 +4,25 @@
 //! measured p: s <- s + (p - r(s)) . t(s) twice from the measured arc length, then the parts of p - r(s) along the two transverse axes.
 //! Between nodes r is the cubic Hermite interpolant of places and tangents (C. de Boor, "A Practical Guide to Splines", 2001, ch. IV).
 
-use super::MeasuredShape;
 use super::model::RestModel;
-use crate::kirchhoff::integrate::unloaded;
 use crate::{Guess, Rod, Tangential, WORKING_STEP_MM};
 use nalgebra::{DVector, Matrix3, Vector3};
 use wcal_core::observation::WhiskerSpec;
+
+/// A measured centre line.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeasuredShape {
+    /// Name of the pair.
+    pub name: String,
+    /// Points from the root to the tip, base frame, mm.
+    pub centreline_mm: Vec<Vector3<f64>>,
+    /// Standard deviation across the line, one a point, mm.
+    pub sd_mm: Vec<f64>,
+    /// Length and its standard deviation, mm.
+    pub length_mm: [f64; 2],
+    /// The wire's centre in the groove, base frame, mm, and its arc length, mm; none for a free wire.
+    pub groove: Option<(Vector3<f64>, f64)>,
+}
 
 /// Parts in which the groove is brought to its place.
 const LEGS: usize = 8;
@@ -35,11 +48,12 @@ pub(super) fn loaded_nodes(
     rod.shape = model.shape(v, WORKING_STEP_MM).map_err(|e| e.to_string())?;
     let (turn, offset) = model.root(v);
     let Some((point, arclength_mm)) = &held.shape.groove else {
-        let (positions, frames) = unloaded(&rod.shape);
+        let (positions, frames) = (&rod.shape.nodes_mm, &rod.shape.frames);
         let ends = rod.shape.intervals.iter().map(|i| i.start_mm).chain([rod.shape.length_mm]);
         let nodes = ends.zip(positions).zip(frames).map(|((s, p), f)| (s, turn * p + offset, turn * f));
         return Ok((nodes.collect(), None));
     };
+    // In the wire's frame the clamp is straight and the groove moves instead.
     let point = turn.inverse() * (point - offset);
     let solve = |at: &Vector3<f64>, guess: &Guess| rod.solve(at, guess, Tangential::Frictionless);
     let near = held.guess.and_then(|guess| solve(&point, &guess).ok());
@@ -96,6 +110,7 @@ fn on_curve(nodes: &[(f64, Vector3<f64>, Matrix3<f64>)], s_mm: f64) -> (Vector3<
     let after = nodes.partition_point(|n| n.0 < s_mm).clamp(1, nodes.len() - 1);
     let ((s0, p0, f0), (s1, p1, f1)) = (&nodes[after - 1], &nodes[after]);
     let h = s1 - s0;
+    // Straight on beyond the ends: a measured point past the tip has a distance, too.
     if s_mm < *s0 {
         return (p0 + f0.column(0) * (s_mm - s0), *f0);
     }

@@ -14,9 +14,10 @@ mod model;
 mod problem;
 
 use crate::RodError;
+pub use lines::MeasuredShape;
 use lines::{GuessedShape, distances, loaded_nodes};
 pub use model::RestModel;
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector};
 use problem::solve;
 use wcal_core::observation::{RestShape, WhiskerSpec};
 
@@ -35,21 +36,6 @@ pub enum RestChoice {
     /// Either, by BIC.
     #[default]
     Best,
-}
-
-/// A measured centre line.
-#[derive(Debug, Clone, PartialEq)]
-pub struct MeasuredShape {
-    /// Name of the pair.
-    pub name: String,
-    /// Points from the root to the tip, base frame, mm.
-    pub centreline_mm: Vec<Vector3<f64>>,
-    /// Standard deviation across the line, one a point, mm.
-    pub sd_mm: Vec<f64>,
-    /// Length and its standard deviation, mm.
-    pub length_mm: [f64; 2],
-    /// The wire's centre in the groove, base frame, mm, and its arc length, mm; none for a free wire.
-    pub groove: Option<(Vector3<f64>, f64)>,
 }
 
 /// What a shape leaves over.
@@ -124,6 +110,7 @@ impl RestFit {
                     Ok(GuessedShape { shape, guess })
                 })
                 .collect::<Result<_, RodError>>()?;
+            // One standard deviation of each error moves all unknowns together: independent ones add as outer products.
             let off = solve(nominal, self.model, &self.values, &held)?.0 - &self.values;
             sum += &off * off.transpose();
         }
@@ -175,6 +162,7 @@ pub fn fit_rest(
         let norms: Vec<f64> = across.iter().map(|(_, d)| d[0].hypot(d[1])).collect();
         let sum: f64 = norms.iter().map(|d| d * d).sum();
         squares += sum;
+        // Two distances across a point: half the sum is that of an axis.
         scaled += norms.iter().zip(&held.shape.sd_mm).map(|(d, sd)| 0.5 * (d / sd).powi(2)).sum::<f64>();
         count += norms.len();
         let largest = (0..norms.len()).max_by(|&a, &b| norms[a].total_cmp(&norms[b])).unwrap_or(0);
@@ -236,6 +224,7 @@ fn select_model(
             .unwrap_or_else(|| RodError::RestFit("expected a model, found none".to_owned())));
     };
     let independent = independent(nominal, *flexible, values, used)?;
+    // With the noise estimated from S itself, up to a constant.
     let bic = |model: RestModel, squares: f64| {
         independent * (squares / independent).ln() + model.names().len() as f64 * independent.ln()
     };
@@ -270,6 +259,7 @@ fn independent(
         lines.extend([0, 1].map(scaled));
     }
     let points: usize = lines.iter().map(Vec::len).sum();
+    // Autocovariance at a lag, over both axes of all lines.
     let product = |lag: usize| -> f64 {
         let of = |line: &Vec<f64>| line.iter().zip(line.iter().skip(lag)).map(|(a, b)| a * b).sum::<f64>();
         lines.iter().map(of).sum()
@@ -277,6 +267,7 @@ fn independent(
     let all = product(0);
     let longest = lines.iter().map(Vec::len).max().unwrap_or(0);
     let correlations = (1..longest).map(|lag| product(lag) / all).take_while(|c| *c > UNCORRELATED);
+    // Integrated correlation: so many neighbours count as one observation.
     let span = 1.0 + 2.0 * correlations.sum::<f64>();
     Ok(points as f64 / span)
 }
@@ -304,5 +295,6 @@ fn jackknife(
         let off = d - &mean;
         sum += &off * off.transpose();
     }
+    // Fits without one shape share all others: (n - 1) / n of the sum of squares, not of its mean.
     Ok(Some(sum * ((n - 1.0) / n)))
 }

@@ -31,6 +31,7 @@ impl<'a> Problem<'a> {
         let mut all = Vec::new();
         for held in self.shapes {
             let (shape, across) = (held.shape, distances(self.nominal, self.model, v, held).ok()?);
+            // In standard deviations: a point counts by how well it was seen.
             for ((_, d), sd) in across.iter().zip(&shape.sd_mm) {
                 all.extend(d.map(|d| d / sd));
             }

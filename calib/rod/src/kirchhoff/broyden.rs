@@ -53,6 +53,7 @@ impl Rod {
         let mut inverse = anchor.inverse;
         let mut before: Option<(Vector4<f64>, Vector4<f64>)> = None;
         for iteration in 1..=MAX_ITERATIONS {
+            // One integration without derivatives an iteration: that is what the update saves.
             let load = Load { point: (*point_mm).into(), force: force.into(), distributed: None };
             let end = to_arclength(&self.section, &self.shape, self.root(&load), &load, s, |_, _| {});
             let offset = Vector3::from(end.position) - point_mm;

@@ -73,6 +73,7 @@ const MOUTH_MM: f64 = 2.0;
 fn golden_section(at: impl Fn(f64) -> Touch, sample: Touch, grid_mm: f64, length_mm: f64) -> Touch {
     let (mut a, mut b) =
         ((sample.arclength_mm - grid_mm).max(0.0), (sample.arclength_mm + grid_mm).min(length_mm));
+    // 0.618^60 is 3e-13: the bracket shrinks to rounding.
     for _ in 0..60 {
         let (c, d) = (b - 0.618_034 * (b - a), a + 0.618_034 * (b - a));
         if at(c).gap_mm < at(d).gap_mm { b = d } else { a = c }
@@ -95,11 +96,13 @@ impl Rod {
         let grid_mm = self.shape.length_mm / samples as f64;
         let at = |s: f64| {
             let wire = self.shape.rest_point(s);
+            // The groove is nearest to a place of the wire at the foot of the perpendicular on its path.
             let x_mm = (wire - line.origin_mm).dot(&line.direction).clamp(-back_mm, reach_mm);
             Touch { x_mm, arclength_mm: s, gap_mm: (line.point(x_mm) - wire).norm() }
         };
         let sampled: Vec<Touch> = (1..=samples).map(|k| at(grid_mm * k as f64)).collect();
         let gap = |k: usize| sampled.get(k).map_or(f64::INFINITY, |t| t.gap_mm);
+        // A sample below its neighbours brackets a minimum of the gap.
         let minima: Vec<Touch> = (0..samples)
             .filter(|&k| (k == 0 || gap(k) <= gap(k - 1)) && gap(k) < gap(k + 1))
             .map(|k| golden_section(at, sampled[k], grid_mm, self.shape.length_mm))
@@ -149,6 +152,7 @@ impl<'a> BranchTracker<'a> {
         let wire = rod.shape.rest_point(touch.arclength_mm);
         let target = line.point(touch.x_mm);
         let mut guess = Guess { force_n: Vector3::zeros(), arclength_mm: touch.arclength_mm };
+        // The unloaded wire is pulled across the gap in steps that Newton can follow.
         let pulls = (touch.gap_mm / FIRST_STEP_MM).ceil().max(1.0) as usize;
         let mut found = None;
         for k in 1..=pulls {
@@ -190,11 +194,13 @@ impl<'a> BranchTracker<'a> {
                     let taken = target - self.last.0;
                     self.before = Some(self.last);
                     self.last = (target, next);
+                    // A quick corrector: the secant is good for a longer step.
                     if next.iterations <= 4 {
                         self.step_mm = (taken.max(self.step_mm) * 1.5).min(LONGEST_STEP_MM);
                     }
                 }
                 Err(why) => {
+                    // Nearer to the last point the secant is better, until the branch has ended.
                     self.step_mm = 0.5 * (target - self.last.0);
                     if self.step_mm < SHORTEST_STEP_MM {
                         let at_mm = self.last.0;
@@ -216,6 +222,7 @@ impl<'a> BranchTracker<'a> {
         let last = &self.last.1;
         let guess = match &self.before {
             Some((x0, e0)) if self.last.0 - x0 > 1e-12 => {
+                // Secant through the last two, extrapolated by at most twice their distance.
                 let f = ((target - self.last.0) / (self.last.0 - x0)).min(2.0);
                 Guess {
                     force_n: last.force_n + (last.force_n - e0.force_n) * f,
@@ -225,6 +232,7 @@ impl<'a> BranchTracker<'a> {
             _ => Guess::from(last),
         };
         let found = self.rod.solve(&self.line.point(target), &guess, Tangential::Frictionless)?;
+        // Another branch: the contact jumps along the wire, or the determinant changes its sign.
         let travelled = target - self.last.0;
         let jump = (found.arclength_mm - last.arclength_mm).abs();
         if jump > 4.0 * travelled + 0.5 || found.determinant * last.determinant <= 0.0 {

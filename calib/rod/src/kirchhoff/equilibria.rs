@@ -28,6 +28,7 @@ impl Rod {
         let length_mm = self.shape.length_mm;
         // The wire reaches the place at the earliest by a straight line.
         let nearest_mm = point_mm.norm();
+        // Forces of some EI / L^2 bend the wire by about a radian.
         let unit_n = self.section.ei_nmm2 / length_mm.powi(2);
         let mut found: Vec<StableEquilibrium> = Vec::new();
         for place in 0..PLACES {

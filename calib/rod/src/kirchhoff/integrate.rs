@@ -1,75 +1,10 @@
-//! Runge-Kutta-Munthe-Kaas integration of the wire on SE(3), fourth order; exact for constant curvature.
-//!
-//! g' = g (u, e1) with g = (R, r) and u(s) = u0(s) + D^-1 R^T ((P - r) x F + M_w(s)). One step of length h:
-//! Omega_i = h sum_j a_ij K_j, K_i = dexp^-1_(Omega_i)(xi(g exp(Omega_i))), g_1 = g exp(h sum_i b_i K_i) with the classical a, b (RK4);
-//! dexp^-1_Omega(xi) = xi + [Omega, xi]/2 + [Omega, [Omega, xi]]/12 for the body frame, enough for fourth order.
-//! Source: H. Munthe-Kaas, "High order Runge-Kutta methods on manifolds", Appl. Numer. Math. 29 (1999).
+//! The loaded wire from the clamp outwards: g' = g (u, e1) ([`se3`](crate::se3)) with u(s) = u0(s) + D^-1 R^T ((P - r) x F + M_w(s)).
 
-use crate::dual::{M3, Scalar, V3, add, cross, mat_mat, mat_t_vec, mat_vec, scaled, sub};
+use crate::dual::{Scalar, V3, cross, mat_t_vec, sub};
 use crate::material::Section;
+use crate::se3::{Pose, Twist, step};
 use crate::shape::{Interval, Shape};
-use nalgebra::{Matrix3, Vector3};
-
-/// Frame and position at one arc length.
-#[derive(Debug, Clone, Copy)]
-pub struct Pose<T> {
-    /// Body frame; columns are the tangent and the two normals.
-    pub frame: M3<T>,
-    /// Position, mm.
-    pub position: V3<T>,
-}
-
-/// Twist (angular, linear part) of one step.
-type Twist<T> = (V3<T>, V3<T>);
-
-/// sin(t)/t, (1-cos t)/t^2 and (t-sin t)/t^3 as series in t^2; ten terms hold 1e-15 up to t = 1.5.
-#[inline(always)]
-fn exp_coefficients<T: Scalar>(squared: T) -> (T, T, T) {
-    const FACTORIAL: [f64; 8] =
-        [1.0, 6.0, 120.0, 5040.0, 362_880.0, 39_916_800.0, 6_227_020_800.0, 1_307_674_368_000.0];
-    let x = squared;
-    let mut a = T::constant(-1.0 / FACTORIAL[7]);
-    let mut b = T::constant(-1.0 / (FACTORIAL[7] * 16.0));
-    let mut c = T::constant(-1.0 / (FACTORIAL[7] * 16.0 * 17.0));
-    for k in (0..7).rev() {
-        let sign = if k % 2 == 0 { 1.0 } else { -1.0 };
-        let n = 2.0 * k as f64 + 2.0;
-        a = a * x + T::constant(sign / FACTORIAL[k]);
-        b = b * x + T::constant(sign / (FACTORIAL[k] * n));
-        c = c * x + T::constant(sign / (FACTORIAL[k] * n * (n + 1.0)));
-    }
-    (a, b, c)
-}
-
-/// g exp(twist).
-#[inline(always)]
-fn advance<T: Scalar>(g: &Pose<T>, (w, v): &Twist<T>) -> Pose<T> {
-    let squared = w[0] * w[0] + w[1] * w[1] + w[2] * w[2];
-    let (a, b, c) = exp_coefficients(squared);
-    let one = T::constant(1.0);
-    let diagonal = |i: usize| one - b * (squared - w[i] * w[i]);
-    let (xy, xz, yz) = (b * w[0] * w[1], b * w[0] * w[2], b * w[1] * w[2]);
-    let (ax, ay, az) = (a * w[0], a * w[1], a * w[2]);
-    let rotation =
-        [[diagonal(0), xy - az, xz + ay], [xy + az, diagonal(1), yz - ax], [xz - ay, yz + ax, diagonal(2)]];
-    let wv = cross(w, v);
-    let wwv = cross(w, &wv);
-    let shift = [0, 1, 2].map(|i| v[i] + b * wv[i] + c * wwv[i]);
-    Pose { frame: mat_mat(&g.frame, &rotation), position: add(&g.position, &mat_vec(&g.frame, &shift)) }
-}
-
-/// k = xi + [Omega, xi]/2 + [Omega, [Omega, xi]]/12, enough for fourth order.
-#[inline(always)]
-fn dexp_inverse<T: Scalar>(omega: &Twist<T>, xi: &Twist<T>) -> Twist<T> {
-    let bracket = |a: &Twist<T>, b: &Twist<T>| -> Twist<T> {
-        (cross(&a.0, &b.0), sub(&cross(&a.0, &b.1), &cross(&b.0, &a.1)))
-    };
-    let first = bracket(omega, xi);
-    let second = bracket(omega, &first);
-    let sum =
-        |x: &V3<T>, y: &V3<T>, z: &V3<T>| [0, 1, 2].map(|i| x[i] + y[i].scale(0.5) + z[i].scale(1.0 / 12.0));
-    (sum(&xi.0, &first.0, &second.0), sum(&xi.1, &first.1, &second.1))
-}
+use nalgebra::Vector3;
 
 /// What bends the wire: the contact force at the groove, and moments of distributed loads.
 pub struct Load<'a, T> {
@@ -111,6 +46,7 @@ fn twist_at<T: Scalar>(
     load: &Load<T>,
 ) -> Twist<T> {
     let s = interval.start_mm + offset_mm;
+    // Moment about s of what acts beyond s: (P - r) x F + M_w(s).
     let mut moment = cross(&sub(&load.point, &g.position), &load.force);
     if let Some(table) = load.distributed {
         let extra = table.at(s);
@@ -118,36 +54,11 @@ fn twist_at<T: Scalar>(
             moment[i] = moment[i] + T::constant(extra[i]);
         }
     }
+    // Constitutive law in body axes; the inextensible wire goes along e1.
     let body = mat_t_vec(&g.frame, &moment);
     let du = section.curvature_change(&body, section.taper_factor(s / length_mm));
     let u = [0, 1, 2].map(|i| du[i] + T::constant(interval.u_start[i] + interval.u_slope[i] * offset_mm));
     (u, [T::constant(1.0), T::constant(0.0), T::constant(0.0)])
-}
-
-/// One step of `h` from the start of `interval`.
-#[inline(always)]
-fn step<T: Scalar>(
-    section: &Section,
-    length_mm: f64,
-    interval: &Interval,
-    h: f64,
-    g: &Pose<T>,
-    load: &Load<T>,
-) -> Pose<T> {
-    let times = |k: &Twist<T>, f: f64| -> Twist<T> { (scaled(&k.0, f), scaled(&k.1, f)) };
-    let at = |offset: f64, g: &Pose<T>| twist_at(section, length_mm, interval, offset, g, load);
-    // The four stages of the classical method, each pulled back to the algebra at g.
-    let k1 = at(0.0, g);
-    let half = times(&k1, 0.5 * h);
-    let k2 = dexp_inverse(&half, &at(0.5 * h, &advance(g, &half)));
-    let half = times(&k2, 0.5 * h);
-    let k3 = dexp_inverse(&half, &at(0.5 * h, &advance(g, &half)));
-    let full = times(&k3, h);
-    let k4 = dexp_inverse(&full, &at(h, &advance(g, &full)));
-    let mix = |a: &V3<T>, b: &V3<T>, c: &V3<T>, d: &V3<T>| {
-        [0, 1, 2].map(|i| (a[i] + (b[i] + c[i]).scale(2.0) + d[i]).scale(h / 6.0))
-    };
-    advance(g, &(mix(&k1.0, &k2.0, &k3.0, &k4.0), mix(&k1.1, &k2.1, &k3.1, &k4.1)))
 }
 
 /// Pose at arc length `end_mm` of the loaded wire, starting from `root`; `visit` sees every mesh node passed, root included.
@@ -169,42 +80,10 @@ pub fn to_arclength<T: Scalar>(
         }
         // Past the tip the last interval goes on with its curvature law, so that Newton sees a smooth function there.
         let h = if last { room } else { room.min(interval.length_mm) };
-        g = step(section, shape.length_mm, interval, h, &g, load);
+        let twist =
+            |offset_mm: f64, g: &Pose<T>| twist_at(section, shape.length_mm, interval, offset_mm, g, load);
+        g = step(h, &g, twist);
         visit(interval.start_mm + h, &g);
     }
     g
-}
-
-/// Nodes and frames of the unloaded wire.
-pub fn unloaded(shape: &Shape) -> (Vec<Vector3<f64>>, Vec<Matrix3<f64>>) {
-    let stiff = Section { ei_nmm2: 1.0, gj_nmm2: 1.0, taper: 0.0, softening: None };
-    let load = Load { point: [0.0; 3], force: [0.0; 3], distributed: None };
-    let (mut nodes, mut frames) = (Vec::new(), Vec::new());
-    let root = Pose { frame: rows_of(&shape.root), position: [0.0; 3] };
-    to_arclength(&stiff, shape, root, &load, shape.length_mm, |_, g| {
-        nodes.push(Vector3::from(g.position));
-        frames.push(matrix_of(&g.frame));
-    });
-    (nodes, frames)
-}
-
-/// nalgebra to row arrays.
-pub fn rows_of(m: &Matrix3<f64>) -> M3<f64> {
-    [0, 1, 2].map(|i| [0, 1, 2].map(|j| m[(i, j)]))
-}
-
-/// Row arrays to nalgebra.
-pub fn matrix_of(m: &M3<f64>) -> Matrix3<f64> {
-    Matrix3::from_fn(|i, j| m[i][j])
-}
-
-/// exp(turn) frame, the turn in space axes.
-#[inline]
-pub fn turn<T: Scalar>(turn: &V3<T>, frame: &M3<T>) -> M3<T> {
-    let zero = T::constant(0.0);
-    let one = T::constant(1.0);
-    let identity =
-        Pose { frame: [[one, zero, zero], [zero, one, zero], [zero, zero, one]], position: [zero; 3] };
-    let turned = advance(&identity, &(*turn, [zero; 3]));
-    mat_mat(&turned.frame, frame)
 }

@@ -9,8 +9,9 @@
 
 use crate::RodError;
 use crate::dual::{Dual3, Scalar, V3, cross};
-use crate::kirchhoff::integrate::{Load, MomentTable, Pose, matrix_of, rows_of, to_arclength};
+use crate::kirchhoff::integrate::{Load, MomentTable, to_arclength};
 use crate::material::Section;
+use crate::se3::{self, Pose, matrix_of, rows_of};
 use crate::shape::Shape;
 use nalgebra::{Matrix3, Matrix4, Rotation3, Vector3, Vector4};
 use wcal_core::observation::WhiskerSpec;
@@ -134,6 +135,7 @@ impl Rod {
     pub fn with_weight(mut self, spec: &WhiskerSpec, fluid_kg_m3: f64) -> Self {
         const GRAVITY_M_S2: f64 = 9.806_65;
         if let (Some(direction), Some(density)) = (spec.gravity_direction, spec.density_kg_m3) {
+            // kg/m^3 m^2 m/s^2 is N/m.
             let area_m2 = std::f64::consts::PI * (spec.diameter_mm * 1e-3).powi(2) / 4.0;
             self.weight_n_per_mm = direction * ((density - fluid_kg_m3) * area_m2 * GRAVITY_M_S2 * 1e-3);
         }
@@ -152,6 +154,7 @@ impl Rod {
         let mut rod = self.clone();
         rod.shape = self.shape.extended(by_mm);
         if self.section.taper != 0.0 {
+            // The diameter goes on linearly; EI goes with its fourth power.
             let end = (1.0 + self.section.taper).max(1e-3).powf(0.25);
             let end = 1.0 + (end - 1.0) * rod.shape.length_mm / self.shape.length_mm;
             rod.section.taper = end.max(1e-3).powi(4) - 1.0;
@@ -167,10 +170,11 @@ impl Rod {
         if self.compliance_rad_per_nmm == 0.0 {
             return Pose { frame, position };
         }
+        // The root carries P x F and gives way in proportion, about each base axis.
         let m = cross(&load.point, &load.force);
         let turn: V3<T> =
             [0, 1, 2].map(|i| m[i].scale(self.compliance_rad_per_nmm * self.compliance_axes[i]));
-        let turned = crate::kirchhoff::integrate::turn(&turn, &frame);
+        let turned = se3::turn(&turn, &frame);
         Pose { frame: turned, position }
     }
 
@@ -221,12 +225,14 @@ impl Rod {
             let (residual, jacobian, tangent) =
                 self.equations(point_mm, &force, s, tangential, distributed, force_scale);
             let Some(step) = jacobian.lu().solve(&residual) else { return Err(Failure::Singular) };
+            // A longer step leaves the basin of the nearby equilibrium.
             let limit = (0.3 * self.shape.length_mm / step.norm()).min(1.0);
             force -= step.fixed_rows::<3>(0) * (limit * force_scale);
             s -= step[3] * limit;
             if !(s > 0.0 && force.norm().is_finite()) {
                 return Err(Failure::NotConverged);
             }
+            // Where rounding keeps the residual up, a step of no length ends it as well.
             if residual.norm() < TOLERANCE_MM || (step.norm() < 1e-9 && residual.norm() < 1e-6) {
                 if s > self.shape.length_mm {
                     return Err(Failure::PastTip);
@@ -264,6 +270,7 @@ impl Rod {
         let position = Vector3::from(end.position.map(Scalar::value));
         let tangent_dual = [0, 1, 2].map(|i| end.frame[i][0]);
         let tangent = Vector3::from(tangent_dual.map(Scalar::value));
+        // Rows 1 to 3: the contact is at P; dr/ds = t.
         let mut jacobian = Matrix4::zeros();
         for i in 0..3 {
             for j in 0..3 {
@@ -273,6 +280,7 @@ impl Rod {
         }
         let d_tangent = Matrix3::from_fn(|i, j| tangent_dual[i].partial(j));
         let curvature = self.tangent_rate(point_mm, force, s, &position, &end.frame, distributed);
+        // Row 4, the force along the wire: with F the tangent turns as well, with s by dt/ds.
         let along = force.dot(&tangent);
         let d_along_force = tangent + d_tangent.transpose() * force;
         let d_along_s = force.dot(&curvature);
@@ -305,6 +313,7 @@ impl Rod {
         distributed: Option<&MomentTable>,
     ) -> Vector3<f64> {
         let frame = matrix_of(&frame.map(|row| row.map(Scalar::value)));
+        // The moment at the contact itself: the force has no arm there, weight has.
         let mut moment = (point - position).cross(force);
         if let Some(table) = distributed {
             moment += table.at(s);
@@ -330,6 +339,7 @@ impl Rod {
             return None;
         }
         let mut table = self.weight_moments(point, held, None);
+        // Fixed point: a round shrinks the change by about w L^3 / EI.
         for _ in 0..4 {
             table = self.weight_moments(point, held, Some(&table));
         }

@@ -7,8 +7,9 @@
 //! Struct. 47 (2010).
 
 use crate::dual::{Dual3, Scalar};
-use crate::kirchhoff::integrate::{Load, matrix_of, to_arclength};
+use crate::kirchhoff::integrate::{Load, to_arclength};
 use crate::kirchhoff::solve::{Equilibrium, Guess, Rod};
+use crate::se3::matrix_of;
 use crate::shape::{Interval, Shape};
 use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, Vector3};
 
@@ -53,6 +54,7 @@ impl Rod {
             let first = 6 * j;
             let mut block = energy.view_mut((first, first), (9, 9));
             block += local;
+            // The quadrature points are the nodes: the mass is a diagonal of arc lengths.
             for (q, weight) in LOBATTO.iter().enumerate() {
                 let at = first + 3 * q;
                 for i in 0..3 {
@@ -71,6 +73,7 @@ impl Rod {
             Hold::Held => constraints.extend((0..3).map(|i| reach.row(i).transpose())),
             Hold::Sliding => {
                 let helper = if tangent.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
+                // Across the wire the contact is held, along it free: two constraints.
                 let side = tangent.cross(&helper).normalize();
                 for normal in [side, tangent.cross(&side)] {
                     constraints.push(reach.tr_mul(&DVector::from_column_slice(normal.as_slice())));
@@ -106,6 +109,7 @@ impl Rod {
                 _ => pieces.push(Interval { length_mm, ..*interval }),
             }
         }
+        // The integrator stops at the middles, too: every node of an element has its state.
         let halves = pieces.iter().flat_map(|p| {
             let h = 0.5 * p.length_mm;
             let middle = [0, 1, 2].map(|i| p.u_start[i] + p.u_slope[i] * h);
@@ -136,6 +140,7 @@ impl Rod {
             let factor = self.section.taper_factor(s / self.shape.length_mm);
             let change =
                 self.section.curvature_change(&[0, 1, 2].map(|i| Dual3::variable(moment[i], i)), factor);
+            // d(du)/dm at this moment: a softened section yields more.
             let compliance = Matrix3::from_fn(|i, j| change[i].partial(j));
             let rest = |i: usize| piece.u_start[i] + piece.u_slope[i] * (s - piece.start_mm);
             Node {
@@ -163,6 +168,7 @@ impl Rod {
         energy: &mut DMatrix<f64>,
         constraints: &mut Vec<DVector<f64>>,
     ) {
+        // The base's axes as the root sees them: about these it gives way.
         let frame =
             elements.first().map_or_else(|| self.root_frame(&equilibrium.moment_nmm), |e| e.1[0].frame);
         for i in 0..3 {
@@ -193,6 +199,7 @@ impl Rod {
         let mut turn = DVector::zeros(energy.nrows());
         let body_force = end.frame.transpose() * equilibrium.force_n;
         turn.fixed_rows_mut::<3>(energy.nrows() - 3).copy_from(&Vector3::x().cross(&body_force));
+        // -F . (sigma^2 t' / 2 + sigma R (eta x e1)), twice, as a symmetric form.
         energy.ger(-equilibrium.force_n.dot(&tangent_rate), &sigma, &sigma, 1.0);
         energy.ger(-1.0, &sigma, &turn, 1.0);
         energy.ger(-1.0, &turn, &sigma, 1.0);

@@ -3,7 +3,8 @@
 use crate::elliptic::{complete_agm, first_kind, second_kind};
 use crate::{LENGTH_MM, straight};
 use nalgebra::{Rotation3, Vector3};
-use wcal_rod::integrate::{Load, MomentTable, Pose, rows_of, to_arclength};
+use wcal_rod::integrate::{Load, MomentTable, to_arclength};
+use wcal_rod::se3::{Pose, rows_of};
 use wcal_rod::{Guess, Rod, Tangential, WORKING_STEP_MM};
 
 /// Cantilever under a dead transverse end load: tip (along, across) over L, and F L^2/EI, for a tip slope `angle`.

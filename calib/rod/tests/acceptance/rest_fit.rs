@@ -48,8 +48,7 @@ fn shapes_of(rod: &Rod, noise_mm: f64, rng: &mut ChaCha8Rng) -> Vec<MeasuredShap
         }
         let held = held.unwrap();
         let nodes = if k == 0 {
-            let (p, _) = wcal_rod::integrate::unloaded(&rod.shape);
-            p
+            rod.shape.nodes_mm.clone()
         } else {
             rod.loaded_shape(&held).into_iter().map(|n| n.1).collect()
         };

@@ -14,7 +14,7 @@ use crate::measurement_model::MeasurementModel;
 use nalgebra::DMatrix;
 use rand::SeedableRng;
 use rand::seq::index::sample;
-use wcal_core::median::median;
+use wcal_core::order_statistics::median;
 
 /// More flagged readings than this share are no longer single readings.
 const MAX_SHARE: f64 = 0.08;

@@ -9,7 +9,7 @@ use crate::method::noise::Noise;
 use crate::method::search_result::SearchResult;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
-use wcal_core::median::median;
+use wcal_core::order_statistics::median;
 use wcal_core::verify_document::{EffectAblation, HeldOutError};
 
 /// Held-out errors of the declared and the accepted model.

@@ -1,9 +1,10 @@
 //! Why a calibration is refused, and what makes a result weak.
 
 use crate::calibrate::bundle::{BoardView, BundleSolution, BundleState};
-use crate::calibrate::initial::{Corners, MonoEstimate, consensus, median};
+use crate::calibrate::initial::{Corners, MonoEstimate, consensus};
 use crate::camera::{Camera, PINHOLE_NAMES};
 use crate::error::VisionError;
+use crate::median::median;
 use nalgebra::{Isometry3, Vector2, Vector3};
 
 /// The error for pairs of which no majority agrees on one relative pose.

@@ -6,6 +6,7 @@
 use crate::calibrate::corner::{Corner, fit_corner};
 use crate::error::{OpenCvContext, VisionError};
 use crate::homography::homography;
+use crate::median::median;
 use crate::picture::Picture;
 use nalgebra::Vector2;
 use opencv::calib3d;
@@ -178,7 +179,7 @@ pub fn continues_beyond(
     };
     let typical = |cells: Vec<(i64, i64)>, out: [f64; 2]| -> Option<f64> {
         let values: Vec<f64> = cells.iter().filter_map(|&(i, j)| contrast(i, j, out)).collect();
-        (2 * values.len() >= cells.len().max(2)).then(|| crate::calibrate::initial::median(&values))
+        (2 * values.len() >= cells.len().max(2)).then(|| median(&values))
     };
     let inside = 0.5 * typical((0..r).flat_map(|j| (0..c).map(move |i| (i, j))).collect(), [0.0; 2])?;
     let sides = [

@@ -1,7 +1,7 @@
 //! `stereo.json` (format `wcal-stereo/1`): written by `stereo-calibrate`, read by `stereo-shape`.
 
-use crate::camera::lens::{MAX_COEFFICIENTS, OPENCV5, lens_named};
 use crate::camera::{Camera, PINHOLE_NAMES};
+use crate::camera::{MAX_COEFFICIENTS, OPENCV5, lens_named};
 use crate::error::VisionError;
 use crate::rigid::pose_from_rows;
 use crate::stereo::StereoCameras;

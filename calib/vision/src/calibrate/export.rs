@@ -2,7 +2,7 @@
 
 use crate::calibrate::document::StereoDocument;
 use crate::calibrate::import::KALIBR_COEFFICIENTS;
-use crate::camera::lens::{FISHEYE, OPENCV5};
+use crate::camera::{FISHEYE, OPENCV5};
 use crate::error::{OpenCvContext, VisionError};
 use crate::stereo::StereoCameras;
 use nalgebra::Matrix3;

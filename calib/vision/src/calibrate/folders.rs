@@ -6,7 +6,7 @@ use crate::calibrate::markers::BoardLayout;
 use crate::calibrate::solution::{StereoSolution, leave_one_out};
 use crate::calibrate::statements::calibrate_as_stated;
 use crate::calibrate::views::{BoardPairs, board_pairs, with_rejections};
-use crate::camera::lens::Lens;
+use crate::camera::Lens;
 use crate::error::VisionError;
 use crate::pairs::{list_pictures, pair_files};
 use crate::rigid::rows;

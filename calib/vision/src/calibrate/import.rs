@@ -3,7 +3,7 @@
 use crate::calibrate::document::{
     BoardDocument, CameraDocument, DistortionDocument, HeldOut, STEREO_FORMAT, StereoDocument,
 };
-use crate::camera::lens::{Lens, OPENCV5, lens_named};
+use crate::camera::{Lens, OPENCV5, lens_named};
 use crate::error::VisionError;
 use nalgebra::{Matrix3, Vector3};
 use std::path::PathBuf;

@@ -10,8 +10,9 @@
 
 use crate::calibrate::bundle::{BoardView, BundleState, Free, residuals, solve};
 use crate::camera::Camera;
-use crate::camera::lens::{Lens, MAX_COEFFICIENTS};
+use crate::camera::{Lens, MAX_COEFFICIENTS};
 use crate::error::{OpenCvContext, VisionError};
+use crate::median::median;
 use crate::rigid::pose_from_parts;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Vector2, Vector3};
 use opencv::calib3d;
@@ -170,17 +171,6 @@ pub fn calibrate_alone(
 pub fn view_rms(residuals: &[Option<Vector2<f64>>]) -> f64 {
     let (n, sum) = residuals.iter().flatten().fold((0, 0.0), |(n, s), e| (n + 1, s + e.norm_squared()));
     (sum / f64::from(n)).sqrt()
-}
-
-/// Median of the finite values; NaN where there is none.
-pub fn median(values: &[f64]) -> f64 {
-    let mut v: Vec<f64> = values.iter().copied().filter(|x| x.is_finite()).collect();
-    if v.is_empty() {
-        return f64::NAN;
-    }
-    v.sort_by(f64::total_cmp);
-    let m = v.len() / 2;
-    if v.len() % 2 == 1 { v[m] } else { 0.5 * (v[m - 1] + v[m]) }
 }
 
 /// The relative pose by one view with the smallest median RMS in the right pictures of all views, with the RMS of each view (px).

@@ -3,12 +3,14 @@
 use crate::calibrate::board::{Board, Pattern, TagOrder, board_points};
 use crate::calibrate::chessboard::{BoardSize, Finder, continues_beyond, find_chessboard, refine};
 use crate::calibrate::corner::fit_corner;
-use crate::calibrate::initial::{Corners, median};
+use crate::calibrate::initial::Corners;
 use crate::calibrate::noise::GridPlace;
 use crate::error::{OpenCvContext, VisionError};
 use crate::homography::{homography, mapped};
+use crate::median::median;
 use crate::picture::Picture;
-use crate::tags::detection::{Search, Tag, find_tags, tag_corners};
+use crate::tags::detection::{Search, Tag, find_tags};
+use crate::tags::tag_corners;
 use nalgebra::{Vector2, Vector3};
 use opencv::aruco::{
     CharucoBoard, Dictionary, detect_markers_def, get_predefined_dictionary_i32,

@@ -9,8 +9,9 @@
 //! of calibration-free line and grid checks, Hartley and Zisserman, Multiple View Geometry, 2nd ed., 4.1 and 7.4.
 
 use crate::calibrate::bundle::BoardView;
-use crate::calibrate::initial::{Corners, median};
+use crate::calibrate::initial::Corners;
 use crate::homography::{homography, mapped};
+use crate::median::median;
 use nalgebra::{DMatrix, DVector, Vector2};
 
 /// Terms of a cubic in two coordinates.

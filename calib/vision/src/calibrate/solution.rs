@@ -8,13 +8,13 @@
 use crate::calibrate::bundle::{BoardView, BundleSolution, BundleState, Free, residuals, solve};
 use crate::calibrate::checks;
 use crate::calibrate::document::{HeldOut, RejectedView};
-use crate::calibrate::initial::{
-    Corners, MonoEstimate, both_rms, calibrate_alone, consensus, median, view_rms,
-};
-use crate::camera::lens::Lens;
+use crate::calibrate::initial::{Corners, MonoEstimate, both_rms, calibrate_alone, consensus, view_rms};
+use crate::camera::Lens;
 use crate::error::VisionError;
+use crate::median::median;
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
+use wcal_core::order_statistics::MAD_TO_SD;
 
 /// A view is left out where its RMS exceeds this multiple of the median view's: 13 real pairs spread by a factor 2.
 const VIEW_OUTLIER: f64 = 4.0;
@@ -151,7 +151,7 @@ fn drop_wild_corners(points: &[Vector3<f64>], state: &BundleState, views: &mut [
         (0..views.len()).map(|v| residuals(state, points, v, &views[v])).collect();
     let coordinates: Vec<f64> =
         all.iter().flatten().flatten().flatten().flat_map(|e| [e.x.abs(), e.y.abs()]).collect();
-    let limit = CORNER_OUTLIER * 1.4826 * median(&coordinates);
+    let limit = CORNER_OUTLIER * MAD_TO_SD * median(&coordinates);
     let mut dropped = 0;
     for (view, errors) in views.iter_mut().zip(&all) {
         for (side, errors) in [&mut view.left, &mut view.right].into_iter().zip(errors) {

@@ -13,7 +13,7 @@ use crate::calibrate::markers::BoardLayout;
 use crate::calibrate::noise::{CornerNoise, corner_noise};
 use crate::calibrate::solution::{StereoSolution, calibrate_stereo};
 use crate::calibrate::views::board_pairs;
-use crate::camera::lens::Lens;
+use crate::camera::Lens;
 use crate::error::VisionError;
 use crate::pairs::PairFiles;
 use nalgebra::Vector3;

@@ -2,9 +2,9 @@
 
 use crate::calibrate::bundle::BoardView;
 use crate::calibrate::document::RejectedView;
-use crate::calibrate::initial::median;
 use crate::calibrate::markers::{self, BoardLayout, MarkerView};
 use crate::error::VisionError;
+use crate::median::median;
 use crate::pairs::PairFiles;
 use crate::picture::Picture;
 use rayon::prelude::*;

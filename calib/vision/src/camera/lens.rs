@@ -1,10 +1,8 @@
-//! What a lens does to the pinhole's picture: the trait, and the models by their names in documents.
+//! What a lens does to the pinhole's picture: the trait of its models.
 //!
 //! A lens takes the direction `n = (X/Z, Y/Z)` of a point before the camera to distorted normalised coordinates `d(n; c)`; the pixel is
 //! `(fx d_x + cx, fy d_y + cy)`. Directions at 90 degrees from the axis and beyond have no such `n` and are not seen.
 
-use crate::camera::brown_conrady::BrownConrady;
-use crate::camera::kannala_brandt::KannalaBrandt;
 use nalgebra::{Matrix2, Vector2};
 use std::fmt::Debug;
 
@@ -38,28 +36,4 @@ impl PartialEq for dyn Lens {
     fn eq(&self, other: &Self) -> bool {
         self.model() == other.model()
     }
-}
-
-/// OpenCV's five coefficients (Brown-Conrady).
-pub static OPENCV5: &dyn Lens = &BrownConrady;
-/// OpenCV's fisheye (Kannala-Brandt).
-pub static FISHEYE: &dyn Lens = &KannalaBrandt;
-
-/// All models.
-pub fn lenses() -> [&'static dyn Lens; 2] {
-    [OPENCV5, FISHEYE]
-}
-
-/// The model for which `name` is true of its name; an error that lists the names where there is none.
-///
-/// # Errors
-/// A sentence with the names that are known.
-pub fn lens_named(
-    found: &str,
-    name: impl Fn(&'static dyn Lens) -> &'static str,
-) -> Result<&'static dyn Lens, String> {
-    let known = lenses();
-    known.into_iter().find(|lens| name(*lens) == found).ok_or_else(|| {
-        format!("one of the lens models {} expected, \"{found}\" found", known.map(name).join(", "))
-    })
 }

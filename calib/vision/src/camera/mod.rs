@@ -7,9 +7,11 @@
 
 mod brown_conrady;
 mod kannala_brandt;
-pub mod lens;
+mod lens;
 
-use lens::{Coefficients, Lens, MAX_COEFFICIENTS};
+use brown_conrady::BrownConrady;
+use kannala_brandt::KannalaBrandt;
+pub use lens::{Coefficients, Lens, MAX_COEFFICIENTS};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
 
 /// Parameters of a camera without its lens: fx, fy, cx, cy.
@@ -145,4 +147,29 @@ pub(crate) fn undistorted_px(camera: Option<&Camera>, p: &Vector2<f64>) -> Vecto
 /// [`Camera::distorted_px`]; the pixel itself where no camera is known.
 pub(crate) fn distorted_px(camera: Option<&Camera>, p: &Vector2<f64>) -> Vector2<f64> {
     camera.map_or(*p, |c| c.distorted_px(p))
+}
+
+/// OpenCV's five coefficients (Brown-Conrady).
+pub static OPENCV5: &dyn Lens = &BrownConrady;
+
+/// OpenCV's fisheye (Kannala-Brandt).
+pub static FISHEYE: &dyn Lens = &KannalaBrandt;
+
+/// All models.
+pub fn lenses() -> [&'static dyn Lens; 2] {
+    [OPENCV5, FISHEYE]
+}
+
+/// The model for which `name` is true of its name; an error that lists the names where there is none.
+///
+/// # Errors
+/// A sentence with the names that are known.
+pub fn lens_named(
+    found: &str,
+    name: impl Fn(&'static dyn Lens) -> &'static str,
+) -> Result<&'static dyn Lens, String> {
+    let known = lenses();
+    known.into_iter().find(|lens| name(*lens) == found).ok_or_else(|| {
+        format!("one of the lens models {} expected, \"{found}\" found", known.map(name).join(", "))
+    })
 }

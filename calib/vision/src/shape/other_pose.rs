@@ -1,6 +1,7 @@
 //! Pairs whose pictures show two poses: a curve through both has another length than the wire, and misses the groove.
 
-use crate::calibrate::initial::median;
+use crate::median::median;
+use wcal_core::order_statistics::MAD_TO_SD;
 use wcal_core::shapes_document::PairDocument;
 
 /// Standard deviations of a length beyond which a wire does not have it.
@@ -20,7 +21,7 @@ pub(crate) fn pairs_of_other_poses(pairs: &[PairDocument]) -> Vec<(usize, String
         let others: Vec<f64> =
             pairs.iter().enumerate().filter(|(j, p)| *j != k && seen(p)).map(|(_, p)| p.length_mm).collect();
         let typical = median(&others);
-        let spread = 1.4826 * median(&others.iter().map(|l| (l - typical).abs()).collect::<Vec<_>>());
+        let spread = MAD_TO_SD * median(&others.iter().map(|l| (l - typical).abs()).collect::<Vec<_>>());
         let off = (pair.length_mm - typical).abs();
         let limit = (BEYOND_SD * pair.length_sd_mm.hypot(spread)).max(LENGTH_SHARE * typical);
         // A length that differs from one other alone is not that of this pair for sure; neither is one that the groove confirms.

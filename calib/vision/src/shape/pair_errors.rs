@@ -24,6 +24,7 @@ use crate::tags::base_pose::RigPoses;
 use crate::tags::pose::gradient_by_calibration;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix3xX, Matrix6, Point3, Vector2, Vector3};
 use rayon::prelude::*;
+use wcal_core::covariance::root;
 use wcal_core::shapes_document::{ErrorColumn, PairErrors, SharedParameter};
 
 /// Distance of the stations on the centre line, in points of it: 3 mm.
@@ -172,7 +173,7 @@ impl VertexErrors {
                 let b = pose.blocks()?;
                 let by_turn = to_base * (lever - b.shift * b.cross.transpose());
                 columns.columns_mut(cameras + TAG_TURN, 3).copy_from(&by_turn);
-                let own = to_base * b.shift.cholesky()?.l();
+                let own = to_base * root(&b.shift).ok()?;
                 let by_cameras = by_turn * turn + to_base * b.shift * pull.rows(3, 3);
                 (DMatrix::from_column_slice(3, 3, own.as_slice()), dense(by_cameras))
             }
@@ -182,7 +183,7 @@ impl VertexErrors {
                 by_pose.columns_mut(0, 3).copy_from(&(to_base * lever));
                 by_pose.columns_mut(3, 3).copy_from(&to_base);
                 let by_cameras = &by_pose * (covariance * pull);
-                (by_pose * dynamic(&covariance.cholesky()?.l()), by_cameras)
+                (by_pose * dynamic(&root(&covariance).ok()?), by_cameras)
             }
         };
         // A base that is turned by w and shifted by d sees the point at p - d - w x p.
@@ -269,7 +270,7 @@ fn own_columns(
     vertex: Option<&VertexErrors>,
 ) -> DMatrix<f64> {
     let (rows, of_curve) = (by_curve.nrows(), u.own.ncols());
-    let base = if u.base_shared { None } else { u.base.cholesky().map(|c| dynamic(&c.l())) };
+    let base = if u.base_shared { None } else { root(&u.base).ok().as_ref().map(dynamic) };
     let of_base = base.as_ref().map_or(0, DMatrix::ncols);
     let of_tag = vertex.map_or(0, |v| v.own.ncols());
     let mut columns = DMatrix::zeros(rows + 4, of_curve + of_base + of_tag + 1);

@@ -5,7 +5,7 @@
 //! no more than noise explains, and each shift follows it by `-I_tt^-1 I_tw w`.
 //! Source: block elimination of normal equations (Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6).
 
-use crate::calibrate::initial::median;
+use crate::median::median;
 use crate::rig::{Rig, RigTag};
 use crate::stereo::StereoCameras;
 use crate::tags::detection::Tag;

@@ -131,9 +131,3 @@ fn refine(picture: &Picture, raw: RawTag, camera: Option<&Camera>) -> Tag {
         refined,
     }
 }
-
-/// Corners of a tag of side `size` in its own frame (x right, y down, z into the tag), in the order of [`Tag::corners_px`].
-pub fn tag_corners(size: f64) -> [nalgebra::Vector3<f64>; 4] {
-    let h = 0.5 * size;
-    [(-h, h), (h, h), (h, -h), (-h, -h)].map(|(x, y)| nalgebra::Vector3::new(x, y, 0.0))
-}

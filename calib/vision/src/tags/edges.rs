@@ -13,7 +13,7 @@ use crate::camera::{Camera, distorted_px, undistorted_px};
 use crate::homography::{homography, mapped};
 use crate::picture::Picture;
 use crate::profile::blurred_step;
-use crate::tags::detection::tag_corners;
+use crate::tags::tag_corners;
 use nalgebra::{Matrix2, Matrix3, Matrix4, SMatrix, SVector, Vector2, Vector4};
 use wcal_core::least_squares::{Damping, Ending, NormalEquations, minimise};
 

@@ -12,7 +12,8 @@ use crate::camera::Camera;
 use crate::homography::homography;
 use crate::rigid::{hat, pose_from_parts, updated};
 use crate::stereo::StereoCameras;
-use crate::tags::detection::{Tag, tag_corners};
+use crate::tags::detection::Tag;
+use crate::tags::tag_corners;
 use nalgebra::{DMatrix, Isometry3, Matrix2x3, Matrix3, Matrix6, Point3, Vector3, Vector6};
 use wcal_core::least_squares::{self, Damping, Ending, NormalEquations};
 

@@ -7,12 +7,13 @@
 //! Two cameras know lengths by their baseline, so that a tag's side is measured in every pair: one value from all pairs that is not the stated one
 //! is a wrong statement; a pair with another value than the rest shows the tag at two places.
 
-use crate::calibrate::initial::median;
+use crate::median::median;
 use crate::rig::{Rig, RigTag};
 use crate::stereo::StereoCameras;
 use crate::tags::base_pose::{PairTags, observations_of};
 use crate::tags::pose::{TAG_MISFIT_PX, TagObservation, body_pose, minimise, residual_rms_px};
 use nalgebra::{DVector, Vector3};
+use wcal_core::order_statistics::MAD_TO_SD;
 
 /// Share of the side from which a difference matters: 0.02 mm on a tag of 10 mm, about what a caliper reads of a print.
 const MATTERS: f64 = 0.002;
@@ -48,7 +49,7 @@ pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -
             pairs.iter().map(|tags| side(stereo, tag, &observations_of(tag, tags))).collect();
         let seen: Vec<Side> = sides.iter().flatten().copied().collect();
         let typical = median(&seen.iter().map(|s| s.mm).collect::<Vec<_>>());
-        let spread = 1.4826 * median(&seen.iter().map(|s| (s.mm - typical).abs()).collect::<Vec<_>>());
+        let spread = MAD_TO_SD * median(&seen.iter().map(|s| (s.mm - typical).abs()).collect::<Vec<_>>());
         let differs = |s: &Side, from: f64| {
             (s.mm - from).abs() > (MATTERS * from).max(BEYOND_SD * s.sd_mm.hypot(spread))
         };

@@ -8,6 +8,7 @@
 //! that is, the log posterior of a hidden Markov chain of curvatures; of the curves that end in one cell (place and direction in both
 //! pictures) the best is kept, and of all cells the best `beam`. Source: Lowerre, "The HARPY Speech Recognition System", 1976 (beam search).
 
+use crate::median::median;
 use crate::rig::RigWhisker;
 use crate::rigid::hat;
 use crate::wire::ridge::HIDDEN;
@@ -82,7 +83,7 @@ pub struct BeamResult {
 }
 
 #[derive(Clone)]
-struct Hypothesis {
+struct BeamState {
     position: Vector3<f64>,
     frame: Matrix3<f64>,
     bend: [f64; 2],
@@ -94,7 +95,7 @@ struct Hypothesis {
     hidden: bool,
 }
 
-impl Hypothesis {
+impl BeamState {
     /// The same curve with its curvature changed at the last branching, by so little that the places evaluated since are the same.
     fn with_curvature_change(&self, parent: usize, by: [f64; 2]) -> Self {
         let long = BRANCH_STEPS as f64 * STEP_MM;
@@ -112,13 +113,13 @@ impl Hypothesis {
 
 /// The curves that are started. The bending moment at the root is unknown: every curvature up to 0.048 / mm is started; from roots
 /// up to `aside_mm` from the stated one only a few are.
-fn starts(aside_mm: f64) -> Vec<Hypothesis> {
+fn starts(aside_mm: f64) -> Vec<BeamState> {
     let grid = |n: i32| (-n..=n).flat_map(move |a| (-n..=n).map(move |b| [f64::from(a), f64::from(b)]));
     let (bends, bend_step) = if aside_mm > 0.0 { (1, 3.0 * CURVATURE_STEP) } else { (8, CURVATURE_STEP) };
     grid((aside_mm / ASIDE_STEP_MM) as i32)
         .flat_map(|root| grid(bends).map(move |bend| (root, bend)))
         .enumerate()
-        .map(|(parent, (root, bend))| Hypothesis {
+        .map(|(parent, (root, bend))| BeamState {
             position: Vector3::new(0.0, root[0] * ASIDE_STEP_MM, root[1] * ASIDE_STEP_MM),
             frame: Matrix3::identity(),
             bend: bend.map(|b| b * bend_step),
@@ -203,7 +204,7 @@ pub fn beam_search(scene: &Scene<'_>, whisker: &RigWhisker, settings: BeamSettin
 fn traced(
     scene: &Scene<'_>,
     whisker: &RigWhisker,
-    start: &Hypothesis,
+    start: &BeamState,
     curvatures: &[[f64; 2]],
 ) -> (Vec<Vector3<f64>>, [f64; 2]) {
     let mut c = start.clone();
@@ -217,15 +218,15 @@ fn traced(
             list.extend(scene.wire_response(k, &c.position, &c.frame.column(0).into_owned()));
         }
     }
-    (path, responses.map(|r| crate::calibrate::initial::median(&r)))
+    (path, responses.map(|r| median(&r)))
 }
 
 /// Extends a curve by a step; `visit` is called with every place scored and the tangent there.
 fn advance(
     whisker: &RigWhisker,
-    c: &mut Hypothesis,
+    c: &mut BeamState,
     step: usize,
-    visit: &mut impl FnMut(&mut Hypothesis, &Vector3<f64>, &Vector3<f64>),
+    visit: &mut impl FnMut(&mut BeamState, &Vector3<f64>, &Vector3<f64>),
 ) {
     let h = STEP_MM / PLACES as f64;
     for place in 0..PLACES {
@@ -255,11 +256,11 @@ type Branch = (f64, usize, i32, i32);
 /// besides that lie hidden.
 fn branched(
     scene: &Scene<'_>,
-    now: &[Hypothesis],
+    now: &[BeamState],
     first: usize,
     (beam, cell): (usize, (f64, f64)),
     hidden_beam: usize,
-) -> Vec<Hypothesis> {
+) -> Vec<BeamState> {
     let changes = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (a, b)));
     let all = now.iter().enumerate().flat_map(|(k, c)| {
         changes.clone().map(move |(a, b)| (c.score - CHANGE_COST * f64::from(a * a + b * b), k, a, b))
@@ -299,7 +300,7 @@ fn branched(
     kept
 }
 
-fn extended(now: &[Hypothesis], (score, k, a, b): Branch, first: usize) -> Hypothesis {
+fn extended(now: &[BeamState], (score, k, a, b): Branch, first: usize) -> BeamState {
     let mut child =
         now[k].with_curvature_change(k, [f64::from(a) * CURVATURE_STEP, f64::from(b) * CURVATURE_STEP]);
     if child.best_step > first {
@@ -311,7 +312,7 @@ fn extended(now: &[Hypothesis], (score, k, a, b): Branch, first: usize) -> Hypot
 
 /// Cell of a curve's end in both pictures, place (mm) and direction (rad) in steps of these sizes: curves with the same images need to be
 /// kept once, and depth is resolved as coarsely as the pictures resolve it.
-fn cell_of(scene: &Scene<'_>, c: &Hypothesis, (place, turn): (f64, f64)) -> [i32; 6] {
+fn cell_of(scene: &Scene<'_>, c: &BeamState, (place, turn): (f64, f64)) -> [i32; 6] {
     let mut cell = [0; 6];
     let step = |v: f64, size: f64| (v / size).round() as i32;
     for (camera, three) in cell.chunks_exact_mut(3).enumerate() {

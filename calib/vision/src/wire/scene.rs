@@ -4,6 +4,7 @@ use crate::rig::RigWhisker;
 use crate::stereo::StereoCameras;
 use crate::wire::ridge::{Evidence, HIDDEN, RidgeMap};
 use nalgebra::{Isometry3, Matrix3, Vector2, Vector3};
+use wcal_core::order_statistics::median;
 
 /// Side of the cells in which a found wire is covered up, px.
 const COVER_PX: f64 = 4.0;
@@ -150,7 +151,7 @@ pub fn expected_strength(
     let end = whisker.straight_mm.min(0.3 * whisker.length_mm).clamp(4.0, 8.0);
     let px_per_mm = stereo.cameras[0].focal_px[0] / left_from_base.translation.z;
     [0, 1].map(|camera| {
-        let mut strongest: Vec<f64> = (0..40)
+        let strongest: Vec<f64> = (0..40)
             .filter_map(|k| {
                 let s = 1.5 + (end - 1.5) * f64::from(k) / 39.0;
                 let (px, normal) = scene.image(camera, &Vector3::new(s, 0.0, 0.0), &Vector3::x())?;
@@ -163,7 +164,6 @@ pub fn expected_strength(
                     .max_by(f64::total_cmp)
             })
             .collect();
-        strongest.sort_by(f64::total_cmp);
-        strongest.get(strongest.len() / 2).copied().unwrap_or(0.0).max(1e-6)
+        median(strongest).unwrap_or(0.0).max(1e-6)
     })
 }

@@ -6,7 +6,7 @@ use wcal_vision::calibrate::chessboard::BoardSize;
 use wcal_vision::calibrate::document::StereoDocument;
 use wcal_vision::calibrate::folders::calibrate_folders;
 use wcal_vision::calibrate::import::read_cameras;
-use wcal_vision::camera::lens::OPENCV5;
+use wcal_vision::camera::OPENCV5;
 use wcal_vision::picture::Picture;
 
 fn board() -> Board {

@@ -9,7 +9,7 @@ use wcal_core::shapes_document::ShapesDocument;
 use wcal_vision::calibrate::board::{Board, Pattern};
 use wcal_vision::calibrate::chessboard::BoardSize;
 use wcal_vision::calibrate::folders::calibrate_folders;
-use wcal_vision::camera::lens::OPENCV5;
+use wcal_vision::camera::OPENCV5;
 use wcal_vision::pairs::{list_pictures, pair_files};
 use wcal_vision::picture::Picture;
 use wcal_vision::rig::Rig;

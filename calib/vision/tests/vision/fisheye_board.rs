@@ -8,7 +8,7 @@ use wcal_vision::calibrate::board::board_points;
 use wcal_vision::calibrate::bundle::BoardView;
 use wcal_vision::calibrate::solution::{StereoSolution, calibrate_stereo};
 use wcal_vision::camera::Camera;
-use wcal_vision::camera::lens::{FISHEYE, OPENCV5};
+use wcal_vision::camera::{FISHEYE, OPENCV5};
 
 const SIZE_PX: [usize; 2] = [1280, 960];
 const NOISE_PX: f64 = 0.05;

@@ -12,7 +12,7 @@ use wcal_vision::calibrate::chessboard::BoardSize;
 use wcal_vision::calibrate::document::StereoDocument;
 use wcal_vision::calibrate::folders::calibrate_folders;
 use wcal_vision::camera::Camera;
-use wcal_vision::camera::lens::OPENCV5;
+use wcal_vision::camera::OPENCV5;
 use wcal_vision::tags::apriltag_ffi::draw_tag;
 
 const WIDTH: usize = 1280;

@@ -10,7 +10,7 @@ use wcal_vision::calibrate::bundle::BoardView;
 use wcal_vision::calibrate::chessboard::{BoardSize, Finder, find_chessboard, refine};
 use wcal_vision::calibrate::folders::calibrate_folders;
 use wcal_vision::calibrate::solution::calibrate_stereo;
-use wcal_vision::camera::lens::OPENCV5;
+use wcal_vision::camera::OPENCV5;
 use wcal_vision::pairs::{list_pictures, pair_files};
 use wcal_vision::picture::Picture;
 

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use wcal_vision::calibrate::board::board_points;
 use wcal_vision::calibrate::bundle::{BoardView, BundleState, Free, solve};
 use wcal_vision::camera::Camera;
-use wcal_vision::camera::lens::OPENCV5;
+use wcal_vision::camera::OPENCV5;
 
 fn truth() -> BundleState {
     let camera = |fx: f64, cx: f64| Camera {

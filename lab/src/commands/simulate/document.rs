@@ -1,6 +1,6 @@
 //! `dataset.json`, and its summary for a person.
 
-use super::SimulateArgs;
+use super::arguments::SimulateArgs;
 use crate::dataset::{Dataset, Total, mujoco, shard};
 use schemars::JsonSchema;
 use serde::Serialize;

@@ -1,6 +1,6 @@
 //! What `wcal-lab simulate` reads: whisker and objects.
 
-use super::SimulateArgs;
+use super::arguments::SimulateArgs;
 use anyhow::{Context, bail, ensure};
 use nalgebra::Vector3;
 use serde::Deserialize;

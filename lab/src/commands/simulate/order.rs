@@ -1,8 +1,8 @@
 //! A dataset from what the command names: read, made or gone on with, and described in dataset.json.
 
+use super::arguments::{Engine, SimulateArgs};
 use super::document::{DatasetDocument, Faults, Twin, document};
 use super::inputs::{mjcf_options, objects_of, whisker};
-use super::{Engine, SimulateArgs};
 use crate::dataset::{Dataset, MissingShard, MujocoSweeps, RodSweeps, SweepEngine, Total};
 use std::collections::BTreeMap;
 use std::path::Path;

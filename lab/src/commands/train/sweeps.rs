@@ -1,6 +1,6 @@
 //! What a tracker is trained on: sweeps that are there, or those that `wcal-lab train` makes itself.
 
-use super::TrainArgs;
+use super::arguments::TrainArgs;
 use crate::commands::simulate::{Engine, MAX_SWEEPS, Order, SimulateArgs, SlurmArgs};
 use crate::dataset::read::manifests;
 use crate::dataset::recipe::check_one_dataset;

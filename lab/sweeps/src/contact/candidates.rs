@@ -3,7 +3,8 @@
 //! Source of the root search: regula falsi with halving (Illinois), M. Dowell & P. Jarratt, BIT 11 (1971).
 
 use super::centre_line::CurvePoint;
-use super::rod::{Configuration, ContactRod};
+use super::configuration::Configuration;
+use super::rod::ContactRod;
 use super::surface::Surface;
 use nalgebra::Vector3;
 use wcal_sim::ClosestPoint;
@@ -44,9 +45,8 @@ impl ContactRod {
     ) -> Vec<ContactCandidate> {
         let n = self.links();
         let within_mm = 2.5 * self.link_mm + self.radius_mm;
-        let at = |place: &CurvePoint, within_mm: f64| {
-            surface.closest_point(&place.point_mm(self, links), within_mm)
-        };
+        let at =
+            |place: &CurvePoint, within_mm: f64| surface.closest_point(&place.point_mm(links), within_mm);
         // Middles of the links, the tip, and closely around what is known to touch.
         let around: Vec<CurvePoint> = before
             .iter()
@@ -64,7 +64,7 @@ impl ContactRod {
         let slopes: Vec<Option<f64>> = places
             .iter()
             .zip(&closest)
-            .map(|((place, _), closest)| closest.map(|x| x.normal.dot(&place.tangent(self, links))))
+            .map(|((place, _), closest)| closest.map(|x| x.normal.dot(&place.tangent(links))))
             .collect();
         // A bracket whose slope goes from falling to rising holds a minimum; a wire along a flat surface touches at the links' middles.
         let mut found: Vec<(CurvePoint, ClosestPoint, bool)> = Vec::new();
@@ -101,7 +101,7 @@ impl ContactRod {
             let x = if k % 3 == 2 { (a + b) / 2.0 } else { (fb * a - fa * b) / (fb - fa) };
             let place = CurvePoint::new(x, self.links());
             let closest = at(&place)?;
-            let slope = closest.normal.dot(&place.tangent(self, links));
+            let slope = closest.normal.dot(&place.tangent(links));
             best = Some((place, closest));
             if slope.abs() < 1e-7 || b - a < 1e-8 {
                 break;
@@ -128,7 +128,7 @@ impl ContactRod {
             let candidate = ContactCandidate {
                 place,
                 closest,
-                centre_mm: place.point_mm(self, links),
+                centre_mm: place.point_mm(links),
                 gap_mm,
                 force_n: 0.0,
                 slides,

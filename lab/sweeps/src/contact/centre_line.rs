@@ -7,7 +7,7 @@
 //! squared: little, but a wire that is barely touched is bent by no more. Weights of the spline on the directions: C. de Boor, A
 //! Practical Guide to Splines (2001), ch. XII (quasi-interpolant); the clamp's direction bounds it at the root.
 
-use super::rod::{Configuration, ContactRod};
+use super::configuration::Configuration;
 use nalgebra::Vector3;
 
 /// Most links near a place that weigh in it otherwise than wholly.
@@ -162,37 +162,38 @@ impl CurvePoint {
     }
 
     /// Sum of directions with their shares.
-    fn sum(&self, rod: &ContactRod, links: &Configuration, shares: &Shares) -> Vector3<f64> {
+    fn sum(&self, links: &Configuration, shares: &Shares) -> Vector3<f64> {
         let near: Vector3<f64> = self.near(shares).map(|(j, share)| links.frames[j].column(0) * share).sum();
-        near + rod.clamp_frame().column(0) * shares.clamp
+        near + links.clamp.column(0) * shares.clamp
     }
 
-    pub(crate) fn point_mm(&self, rod: &ContactRod, links: &Configuration) -> Vector3<f64> {
-        let mut point = links.nodes_mm[self.first] + self.sum(rod, links, &self.place) * rod.link_mm;
+    pub(crate) fn point_mm(&self, links: &Configuration) -> Vector3<f64> {
+        let mut point = links.nodes_mm[self.first] + self.sum(links, &self.place) * links.link_mm;
         if self.first > 0 {
             for (share, frame) in FIRST.iter().zip(&links.frames) {
-                point += frame.column(0) * ((share - 1.0) * rod.link_mm);
+                point += frame.column(0) * ((share - 1.0) * links.link_mm);
             }
         }
         point
     }
 
     /// Tangent, of unit length to third order.
-    pub(crate) fn tangent(&self, rod: &ContactRod, links: &Configuration) -> Vector3<f64> {
-        self.sum(rod, links, &self.tangent)
+    pub(crate) fn tangent(&self, links: &Configuration) -> Vector3<f64> {
+        self.sum(links, &self.tangent)
     }
 
     /// Change of the tangent along the wire, 1/mm.
-    pub(crate) fn bend_per_mm(&self, rod: &ContactRod, links: &Configuration) -> Vector3<f64> {
+    pub(crate) fn bend_per_mm(&self, links: &Configuration) -> Vector3<f64> {
         let cell = (self.at as usize).min(self.links - 1);
         let v = self.at - cell as f64;
         let bend = shares(cell, self.first, self.links, &[], [v - 1.0, 1.0 - 2.0 * v, v]);
-        self.sum(rod, links, &bend) / rod.link_mm
+        self.sum(links, &bend) / links.link_mm
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::rod::ContactRod;
     use super::*;
     use wcal_core::observation::RestShape;
     use wcal_rod::{Section, Shape};
@@ -209,7 +210,7 @@ mod tests {
         let rest = rod.at_rest();
         let off = |k: u32| {
             let at = f64::from(k) / 400.0 * links as f64;
-            (CurvePoint::new(at, links).point_mm(&rod, &rest) - shape.rest_point(at * rod.link_mm)).norm()
+            (CurvePoint::new(at, links).point_mm(&rest) - shape.rest_point(at * rod.link_mm)).norm()
         };
         (0..=400).map(off).fold(0.0, f64::max)
     }
@@ -238,18 +239,17 @@ mod tests {
             let at = f64::from(k) * 0.05 - 0.02;
             let step = 1e-5;
             let spot = |x: f64| CurvePoint::new(x, links);
-            let point = |x: f64| spot(x).point_mm(&rod, &rest) / rod.link_mm;
+            let point = |x: f64| spot(x).point_mm(&rest) / rod.link_mm;
             let slope = (point(at + step) - point(at - step)) / (2.0 * step);
-            assert!((slope - spot(at).tangent(&rod, &rest)).norm() < 1e-8, "{at}");
-            let tangent = |x: f64| spot(x).tangent(&rod, &rest);
+            assert!((slope - spot(at).tangent(&rest)).norm() < 1e-8, "{at}");
+            let tangent = |x: f64| spot(x).tangent(&rest);
             let bend = (tangent(at + step) - tangent(at - step)) / (2.0 * step * rod.link_mm);
-            assert!((bend - spot(at).bend_per_mm(&rod, &rest)).norm() < 1e-5, "{at}");
+            assert!((bend - spot(at).bend_per_mm(&rest)).norm() < 1e-5, "{at}");
             let sum = spot(at).places().map(|p| p.1).sum::<f64>() + spot(at).clamp_share();
             assert!((sum - at).abs() < 1e-12, "a straight wire is as long as it is: {at} {sum}");
         }
         // Negative control: half a link on, the tangent is another.
-        let turned = CurvePoint::new(8.0, links).tangent(&rod, &rest)
-            - CurvePoint::new(8.5, links).tangent(&rod, &rest);
+        let turned = CurvePoint::new(8.0, links).tangent(&rest) - CurvePoint::new(8.5, links).tangent(&rest);
         assert!(turned.norm() > 1e-2);
     }
 }

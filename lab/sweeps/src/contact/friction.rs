@@ -8,7 +8,8 @@
 //! root's moment stands still. A contact sticks where it slips by less than a small share of the body's step.
 
 use super::centre_line::CurvePoint;
-use super::rod::{Balance, Configuration, ContactRod, load_stiffness};
+use super::configuration::Configuration;
+use super::rod::{Balance, ContactRod, load_stiffness};
 use super::surface::{Contact, ContactState, Surface};
 use nalgebra::Vector3;
 
@@ -46,8 +47,8 @@ pub(super) struct FrictionContact {
 
 impl FrictionContact {
     /// Slip, mm, and the friction force over its limit with its slope per mm, at that slip.
-    fn slip(&self, rod: &ContactRod, links: &Configuration) -> (Vector3<f64>, f64, f64) {
-        let off = self.place.point_mm(rod, links) - self.stuck_mm;
+    fn slip(&self, links: &Configuration) -> (Vector3<f64>, f64, f64) {
+        let off = self.place.point_mm(links) - self.stuck_mm;
         let slip = off - self.normal * self.normal.dot(&off);
         let y = slip.norm() / self.stick_mm;
         if y >= 1.0 {
@@ -57,18 +58,18 @@ impl FrictionContact {
     }
 
     /// Force on the wire, N.
-    fn force_n(&self, rod: &ContactRod, links: &Configuration) -> Vector3<f64> {
-        let (slip, share, _) = self.slip(rod, links);
+    fn force_n(&self, links: &Configuration) -> Vector3<f64> {
+        let (slip, share, _) = self.slip(links);
         slip.try_normalize(1e-300).map_or_else(Vector3::zeros, |along| -along * (self.limit_n * share))
     }
 
-    fn moment_nmm(&self, rod: &ContactRod, links: &Configuration) -> Vector3<f64> {
-        self.place.point_mm(rod, links).cross(&self.force_n(rod, links))
+    fn moment_nmm(&self, links: &Configuration) -> Vector3<f64> {
+        self.place.point_mm(links).cross(&self.force_n(links))
     }
 
     /// Adds energy, gradient and stiffness.
     fn add(&self, rod: &ContactRod, links: &Configuration, all: &mut Balance) {
-        let (slip, share, slope) = self.slip(rod, links);
+        let (slip, share, slope) = self.slip(links);
         let (size, stick) = (slip.norm(), self.stick_mm);
         let y = size / stick;
         // Integral of s(y) over the slip.
@@ -106,7 +107,7 @@ impl ContactRod {
             let place = CurvePoint::new(c.arclength_mm / self.link_mm, self.links());
             FrictionContact {
                 place,
-                stuck_mm: place.point_mm(self, how.before) + how.moved_mm,
+                stuck_mm: place.point_mm(how.before) + how.moved_mm,
                 normal: c.normal,
                 limit_n: how.coefficient * c.force_n,
                 stick_mm: STICK_SHARE * how.moved_mm.norm().max(1e-9),
@@ -139,12 +140,12 @@ impl ContactRod {
             round += 1;
             let mut next = self.frictional_contacts(&state.contacts, how);
             let moment = |friction: &[FrictionContact]| -> Vector3<f64> {
-                friction.iter().map(|r| r.moment_nmm(self, &state.links)).sum()
+                friction.iter().map(|r| r.moment_nmm(&state.links)).sum()
             };
             let stands = (moment(&next) - moment(&friction)).norm() < ROUND_NMM;
             if stands || !state.converged || round == ROUNDS {
                 for (contact, friction) in state.contacts.iter_mut().zip(&next) {
-                    contact.friction_n = friction.force_n(self, &state.links);
+                    contact.friction_n = friction.force_n(&state.links);
                 }
                 state.converged &= stands;
                 state.iterations = iterations;

@@ -16,6 +16,7 @@
 mod block_tridiagonal;
 mod candidates;
 mod centre_line;
+mod configuration;
 mod friction;
 mod newton;
 mod penalty;
@@ -23,6 +24,7 @@ mod rod;
 mod solve;
 mod surface;
 
+pub use configuration::Configuration;
 pub use friction::FrictionStep;
-pub use rod::{Configuration, ContactRod};
+pub use rod::ContactRod;
 pub use surface::{Contact, ContactState, Surface};

@@ -11,7 +11,8 @@
 use super::block_tridiagonal::BlockFactors;
 use super::candidates::ContactCandidate;
 use super::centre_line::CurvePoint;
-use super::rod::{Balance, Configuration, ContactRod, load_stiffness};
+use super::configuration::Configuration;
+use super::rod::{Balance, ContactRod, load_stiffness};
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// Stiffness that holds a loaded contact to the surface, N/mm: far above the wire's own. It leaves the solution where it is, and makes
@@ -113,9 +114,9 @@ impl ContactCandidate {
             }
         }
         if self.slides {
-            let tangent = self.place.tangent(rod, links);
+            let tangent = self.place.tangent(links);
             let turn_per_mm = second * tangent;
-            let opens_per_mm = turn_per_mm.dot(&tangent) + normal.dot(&self.place.bend_per_mm(rod, links));
+            let opens_per_mm = turn_per_mm.dot(&tangent) + normal.dot(&self.place.bend_per_mm(links));
             if opens_per_mm > MIN_OPENING_PER_MM {
                 let mut both = rod.displacement_row(links, &self.place, &turn_per_mm);
                 for (j, share) in self.place.tangents() {

@@ -5,9 +5,10 @@
 //! Source: P. Wriggers, "Computational Contact Mechanics" (2006), ch. 6 (penalty method).
 
 use super::centre_line::CurvePoint;
+use super::configuration::Configuration;
 use super::friction::FrictionContact;
 use super::newton::{Stiffness, Turns, dot};
-use super::rod::{Configuration, ContactRod, load_stiffness};
+use super::rod::{ContactRod, load_stiffness};
 use super::solve::{MAX_DAMPING, MAX_TURN_RAD, MIN_DAMPING};
 use super::surface::{Contact, ContactState, Surface};
 use nalgebra::{Matrix3, Vector3};
@@ -105,14 +106,13 @@ impl ContactRod {
         let share_mm = self.link_mm / PLACES as f64;
         let mut overlaps = Vec::new();
         for j in 0..n {
-            let middle = self.middles[j].point_mm(self, &links);
+            let middle = self.middles[j].point_mm(&links);
             if surface.closest_point(&middle, near_mm).is_none() {
                 continue;
             }
             for k in 0..PLACES {
                 let place = CurvePoint::new(j as f64 + (k as f64 + 0.5) / PLACES as f64, n);
-                let Some(closest) = surface.closest_point(&place.point_mm(self, &links), self.radius_mm)
-                else {
+                let Some(closest) = surface.closest_point(&place.point_mm(&links), self.radius_mm) else {
                     continue;
                 };
                 let overlap_mm = self.radius_mm - closest.distance_mm;
@@ -199,7 +199,7 @@ impl ContactRod {
             let share = |t: &Overlap| t.force_n / carried.max(1e-300);
             contacts.push(Contact {
                 arclength_mm: group.iter().map(|t| t.place.at * share(t)).sum::<f64>() * self.link_mm,
-                centre_mm: group.iter().map(|t| t.place.point_mm(self, &state.links) * share(t)).sum(),
+                centre_mm: group.iter().map(|t| t.place.point_mm(&state.links) * share(t)).sum(),
                 point_mm: deepest.point_mm,
                 normal: force.try_normalize(1e-300).unwrap_or(deepest.normal),
                 force_n: force.norm(),

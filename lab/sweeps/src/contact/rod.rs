@@ -14,6 +14,7 @@
 //! the rotation vector: G. Chirikjian, "Stochastic Models, Information Theory, and Lie Groups" 2 (2012), ch. 10.
 
 use super::centre_line::{self, CurvePoint};
+use super::configuration::Configuration;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use wcal_rod::{DiscreteRod, RodError, Section, Shape, Softening};
 
@@ -40,15 +41,6 @@ pub struct ContactRod {
     clamp: Matrix3<f64>,
     /// Places at which the surface is evaluated in every step.
     pub(crate) middles: Vec<CurvePoint>,
-}
-
-/// Where the links are.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Configuration {
-    /// Frame of each link; its first column is the link's direction.
-    pub frames: Vec<Matrix3<f64>>,
-    /// Ends of the links from the root on, mm: one more than links.
-    pub nodes_mm: Vec<Vector3<f64>>,
 }
 
 /// Energy, its gradient and its Hessian by blocks, at some place of the links.
@@ -90,11 +82,6 @@ impl ContactRod {
         self.joints.len()
     }
 
-    /// Frame of the clamp.
-    pub(crate) fn clamp_frame(&self) -> Matrix3<f64> {
-        self.clamp
-    }
-
     /// The stress-free wire.
     pub fn at_rest(&self) -> Configuration {
         let mut frame = self.clamp;
@@ -117,7 +104,7 @@ impl ContactRod {
             node += frame.column(0) * self.link_mm;
             nodes_mm.push(node);
         }
-        Configuration { frames, nodes_mm }
+        Configuration { frames, nodes_mm, clamp: self.clamp, link_mm: self.link_mm }
     }
 
     /// The links turned by spatial rotation vectors (rad).

@@ -7,8 +7,9 @@
 
 use super::candidates::ContactCandidate;
 use super::centre_line::CurvePoint;
+use super::configuration::Configuration;
 use super::friction::FrictionContact;
-use super::rod::{Configuration, ContactRod};
+use super::rod::ContactRod;
 use super::surface::{Contact, ContactState, Surface};
 use nalgebra::{Matrix3, Vector3};
 use wcal_sim::ClosestPoint;
@@ -84,7 +85,7 @@ impl ContactRod {
 
     /// Moment at the root, N mm.
     pub fn base_moment_nmm(&self, pressed: &ContactState) -> Vector3<f64> {
-        let along = self.clamp_frame().column(0) * self.link_mm;
+        let along = pressed.links.clamp.column(0) * self.link_mm;
         let beyond = |c: &Contact| {
             // The clamp's share in the contact's place is an arm that no link has.
             let share = CurvePoint::new(c.arclength_mm / self.link_mm, self.links()).clamp_share();
@@ -188,7 +189,7 @@ impl ContactRod {
 
     /// The gap to the plane of a place that a refused step met.
     fn plane_constraint_at(&self, links: &Configuration, mut plane: ContactCandidate) -> ContactCandidate {
-        let centre_mm = plane.place.point_mm(self, links);
+        let centre_mm = plane.place.point_mm(links);
         plane.gap_mm += plane.closest.normal.dot(&(centre_mm - plane.centre_mm));
         plane.centre_mm = centre_mm;
         plane.closest.second_per_mm = Matrix3::zeros();
@@ -267,7 +268,7 @@ impl ContactRod {
             .filter(|c| c.force_n > 0.0)
             .map(|c| Contact {
                 arclength_mm: c.place.at * self.link_mm,
-                centre_mm: c.place.point_mm(self, &state.links),
+                centre_mm: c.place.point_mm(&state.links),
                 point_mm: c.closest.point_mm,
                 normal: c.closest.normal.normalize(),
                 force_n: c.force_n * c.closest.normal.norm(),

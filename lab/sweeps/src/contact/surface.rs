@@ -1,6 +1,7 @@
 //! What the contact solvers see of a body, and what they give back.
 
-use super::rod::Configuration;
+use super::configuration::Configuration;
+
 use nalgebra::Vector3;
 use wcal_sim::ClosestPoint;
 

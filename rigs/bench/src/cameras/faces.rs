@@ -84,7 +84,7 @@ impl Face {
     }
 
     /// The face as a camera sees it.
-    pub(super) fn seen(&self, camera_from_base: &Isometry3<f64>) -> SeenFace<'_> {
+    pub(super) fn view(&self, camera_from_base: &Isometry3<f64>) -> SeenFace<'_> {
         let pose = camera_from_base * self.base_from_plane;
         let turn = pose.rotation.to_rotation_matrix();
         let axis = |k: usize| turn.matrix().column(k).into_owned();

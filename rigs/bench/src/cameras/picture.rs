@@ -63,7 +63,7 @@ struct ImageSegment {
 /// Picture before noise, grey values row by row, not limited to 255.
 pub fn clean(lens: &Lens, view: &View, look: &Appearance) -> Vec<f32> {
     let [width, height] = lens.size_px;
-    let faces: Vec<SeenFace<'_>> = view.faces.iter().map(|f| f.seen(&lens.camera_from_base)).collect();
+    let faces: Vec<SeenFace<'_>> = view.faces.iter().map(|f| f.view(&lens.camera_from_base)).collect();
     let boxes: Vec<[usize; 4]> =
         view.faces.iter().map(|f| bounds(lens, &f.base_from_plane, &f.corners)).collect();
     // Nearest surface at every pixel corner: depth and shade.

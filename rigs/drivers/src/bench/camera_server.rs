@@ -101,7 +101,7 @@ fn picture(shared: &BenchState, index: usize, due_s: f64, trigger: u64) -> Vec<u
         return vec![GREY; (width * height) as usize];
     };
     let state = shared.camera_state();
-    let (trajectory, depth_mm, moving) = shared.world().seen(due_s, &shared.scenario);
+    let (trajectory, depth_mm, moving) = shared.world().camera_view(due_s, &shared.scenario);
     let seen =
         SceneState { trajectory, depth_mm, board: state.board, exposure: state.exposure, moved: state.moved };
     let bin = if moving { spec.moving_binning } else { 1 };

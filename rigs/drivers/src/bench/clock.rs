@@ -1,5 +1,6 @@
 //! Time of the virtual bench: wall time, a multiple of it, or as it is let pass.
 
+use super::lock::guard;
 use std::sync::Mutex;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -38,7 +39,7 @@ impl BenchClock {
     /// Lets time pass, s; nothing where the wall's clock does.
     pub fn pass(&self, seconds: f64) {
         if let Pace::Let(now_s) = &self.pace {
-            *super::world::guard(now_s) += seconds;
+            *guard(now_s) += seconds;
         }
     }
 
@@ -46,7 +47,7 @@ impl BenchClock {
     pub fn now_s(&self) -> f64 {
         match &self.pace {
             Pace::Wall(start) => start.elapsed().as_secs_f64() * self.speed,
-            Pace::Let(now_s) => *super::world::guard(now_s),
+            Pace::Let(now_s) => *guard(now_s),
         }
     }
 

@@ -7,9 +7,10 @@
 //! ```
 
 use super::clock::BenchClock;
+use super::lock::guard;
 use super::plant::Plant;
 use super::scenario::Scenario;
-use super::world::{BenchState, guard};
+use super::world::BenchState;
 use crate::zaber::flags::is_latched;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

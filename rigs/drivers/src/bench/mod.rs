@@ -11,6 +11,7 @@ pub mod faults;
 mod hyperion_server;
 pub mod in_process;
 pub mod link;
+mod lock;
 pub mod motion;
 pub mod plant;
 pub mod scenario;

@@ -8,7 +8,7 @@
 //! wavelength   l_g = l_g0 + (K_g . M) (1 + q K_g . M / |K_g|) + zero_g + kappa_g (T - 21) + drift + noise
 //! ```
 
-use super::scenario::{Scenario, WhiskerScenario};
+use super::scenario::{Scenario, WhiskerScenario, rest_point};
 use super::scene::Scene;
 use nalgebra::Vector3;
 use rand::SeedableRng;
@@ -31,14 +31,6 @@ pub trait Plant: Send {
     fn scene(&self) -> Option<Arc<dyn Scene>> {
         None
     }
-}
-
-/// Centre line at an arc length (mm): point and unit tangent.
-pub fn rest_point(whisker: &WhiskerScenario, s_mm: f64) -> ([f64; 3], [f64; 3]) {
-    let turn = ((s_mm - whisker.straight_mm) / whisker.arc_radius_mm).max(0.0);
-    let (sin, cos) = turn.sin_cos();
-    let x = s_mm.min(whisker.straight_mm) + whisker.arc_radius_mm * sin;
-    ([x, 0.0, -whisker.arc_radius_mm * (1.0 - cos)], [cos, 0.0, -sin])
 }
 
 /// Arc length (mm) of the point of the resting wire nearest to `point_mm`.

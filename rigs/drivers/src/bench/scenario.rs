@@ -319,7 +319,7 @@ pub struct TrajectoryScenario {
 fn default_trajectories(whisker: &WhiskerScenario) -> Vec<TrajectoryScenario> {
     let mut list = Vec::new();
     for arclength_mm in [18.0, 31.0, 45.0] {
-        let (origin_mm, tangent) = super::plant::rest_point(whisker, arclength_mm);
+        let (origin_mm, tangent) = rest_point(whisker, arclength_mm);
         let normal = [-tangent[2], 0.0, tangent[0]];
         for turn_deg in [0.0_f64, -60.0, 60.0] {
             let (sin, cos) = turn_deg.to_radians().sin_cos();
@@ -374,6 +374,14 @@ pub struct EffectsScenario {
     pub groove_offset_mm: [f64; 3],
     /// Turn of the wire's root per base moment, rad/(N mm).
     pub root_turn_rad_per_nmm: f64,
+}
+
+/// Centre line at an arc length (mm): point and unit tangent.
+pub fn rest_point(whisker: &WhiskerScenario, s_mm: f64) -> ([f64; 3], [f64; 3]) {
+    let turn = ((s_mm - whisker.straight_mm) / whisker.arc_radius_mm).max(0.0);
+    let (sin, cos) = turn.sin_cos();
+    let x = s_mm.min(whisker.straight_mm) + whisker.arc_radius_mm * sin;
+    ([x, 0.0, -whisker.arc_radius_mm * (1.0 - cos)], [cos, 0.0, -sin])
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use super::clock::BenchClock;
 use super::faults::{Fault, ScheduledFault};
 use super::link::{Cable, ReplyFault, UnsolicitedTraffic};
+use super::lock::guard;
 use super::plant::{Physics, Plant};
 use super::scenario::{CameraScenario, Scenario};
 use super::scene::Scene;
@@ -103,11 +104,6 @@ pub struct BenchState {
     never_accepts: AtomicBool,
     garbage: AtomicBool,
     stop: AtomicBool,
-}
-
-pub(super) fn guard<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A panicked server thread must not take the bench down.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl BenchState {
@@ -333,7 +329,7 @@ impl World {
     }
 
     /// Trajectory, depth of the groove (mm), and whether stage or mount move.
-    pub fn seen(&self, t_s: f64, scenario: &Scenario) -> (u32, f64, bool) {
+    pub fn camera_view(&self, t_s: f64, scenario: &Scenario) -> (u32, f64, bool) {
         let (stage_mm, trajectory) = self.place(t_s, scenario);
         let moving = self.units.iter().any(|u| u.axis.at(t_s).1 != 0.0);
         (trajectory, self.physics.groove_mm(stage_mm), moving)

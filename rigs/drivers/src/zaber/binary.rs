@@ -1,9 +1,8 @@
 //! A T-series stage: binary protocol, six bytes a message (firmware-notes/zaber-binary.md).
 
 use super::units::Microsteps;
-use super::wire::{Connect, Port, Wire};
+use super::wire::{Connect, Port, Wire, not_opened};
 use crate::link::CONNECT;
-use crate::trouble;
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::rc::Rc;
@@ -112,7 +111,7 @@ impl BinaryLine {
         self.close();
         let deadline = Deadline::after(CONNECT, &self.interrupt);
         let link = (self.connect)(&self.place, &deadline)
-            .map_err(|e| trouble::of_port(&self.name, &self.place, &e, &deadline))?;
+            .map_err(|e| not_opened(&self.name, &self.place, &e, &deadline))?;
         let wire = Wire::over(link, self.name.clone(), deadline);
         (self.port, self.failed) = (Some(BinaryPort::open_general(wire)), false);
         Ok(())

@@ -1,8 +1,7 @@
 //! A chain of units on one port: checked replies, message ids, checksums, and repeated questions.
 
-use super::wire::{Connect, Port, Wire};
+use super::wire::{Connect, Port, Wire, not_opened};
 use crate::link::CONNECT;
-use crate::trouble;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt};
@@ -160,7 +159,7 @@ impl Chain {
         self.close();
         let deadline = Deadline::after(CONNECT, &self.interrupt);
         let link = (self.connect)(&self.place, &deadline)
-            .map_err(|e| trouble::of_port(&self.name, &self.place, &e, &deadline))?;
+            .map_err(|e| not_opened(&self.name, &self.place, &e, &deadline))?;
         let wire = Wire::over(link, self.name.clone(), deadline);
         let mut port = AsciiPort::open_general_options().checksums(true).message_ids(true).open(wire);
         // Alerts may come at any time; state is always asked for, so they carry nothing new.
@@ -297,7 +296,7 @@ impl Chain {
     fn open_port(&mut self, command: &str) -> Result<&mut AsciiPort<'static, Wire>, DeviceError> {
         let error = || {
             let (kind, expected) = (DeviceErrorKind::Disconnected, "a link to the unit");
-            DeviceError::new(kind, &self.name, shown(command), expected, "a port that is closed")
+            DeviceError::new(kind, &self.name, command_name(command), expected, "a port that is closed")
         };
         self.port.as_mut().ok_or_else(error)
     }
@@ -376,7 +375,7 @@ impl Chain {
         let kind = match error {
             // In a flood the deadline falls into the middle of a line.
             e if e.is_timeout() || deadline.is_over() && !e.is_io() => {
-                return deadline.error(&self.name, shown(command), "a reply", &passed.text());
+                return deadline.error(&self.name, command_name(command), "a reply", &passed.text());
             }
             AsciiError::Io(_) | AsciiError::SerialDeviceInUseOrDisconnected(_) => {
                 DeviceErrorKind::Disconnected
@@ -387,12 +386,12 @@ impl Chain {
     }
 
     fn error(&self, kind: DeviceErrorKind, command: &str, expected: &str, found: &str) -> DeviceError {
-        DeviceError::new(kind, &self.name, shown(command), expected, found)
+        DeviceError::new(kind, &self.name, command_name(command), expected, found)
     }
 }
 
 /// A command for people: the empty one asks for the state.
-fn shown(command: &str) -> &str {
+fn command_name(command: &str) -> &str {
     if command.is_empty() { "poll" } else { command }
 }
 

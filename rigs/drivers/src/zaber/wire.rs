@@ -1,13 +1,14 @@
 //! The byte link to a chain of units: a serial port or TCP, buffered, with one meaning of "timed out" and one deadline an exchange.
 
 use crate::host::is_timeout;
-use crate::link;
+use crate::{link, trouble};
 use serialport::{SerialPort, TTYPort};
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::rc::Rc;
 use std::time::Duration;
 use wcal_core::deadline::Deadline;
+use wcal_core::device::DeviceError;
 use zproto::backend::Backend;
 
 /// Longest time in which a disturbed line is emptied.
@@ -207,5 +208,13 @@ impl Backend for Wire {
 
     fn name(&self) -> Option<String> {
         Some(self.name.clone())
+    }
+}
+
+/// Why a port was not opened, in words that say what to do.
+pub(crate) fn not_opened(device: &str, port: &Port, error: &io::Error, deadline: &Deadline) -> DeviceError {
+    match port {
+        Port::Tcp(address) => trouble::of_connection(device, address, error, deadline),
+        Port::Serial(path, _) => trouble::of_serial_port(device, path, error, deadline),
     }
 }

@@ -7,8 +7,9 @@
 //! Source of the compliance: Castigliano's second theorem (S. P. Timoshenko, J. M. Gere, "Mechanics of Materials").
 
 use nalgebra::Vector3;
-use wcal_drivers::bench::plant::{Plant, rest_arclength_mm, rest_point};
+use wcal_drivers::bench::plant::{Plant, rest_arclength_mm};
 use wcal_drivers::bench::scenario::Scenario;
+use wcal_drivers::bench::scenario::rest_point;
 
 /// Pieces of the wire in the compliance integral.
 const PIECES: usize = 600;

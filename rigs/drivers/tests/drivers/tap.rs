@@ -365,7 +365,7 @@ impl ByteLink for Line {
         }
         if self.said.is_empty() {
             // Nobody waits: the time that was allowed passes.
-            self.tap.bench.pass(deadline.left().as_secs_f64());
+            self.tap.bench.pass(deadline.remaining().as_secs_f64());
             return Err(ErrorKind::TimedOut.into());
         }
         self.tap.bench.pass(ON_THE_LINE_S);

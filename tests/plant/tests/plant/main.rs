@@ -11,3 +11,4 @@
 mod noise;
 mod physics;
 mod sessions;
+mod sweeps;

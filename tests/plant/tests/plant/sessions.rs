@@ -1,6 +1,6 @@
 //! Drawn sessions: their form, their sizes, their laws, and tampering.
 
-use wcal_plant::adversarial::Tampering;
+use wcal_plant::case::Tampering;
 use wcal_plant::effects::ALL;
 use wcal_plant::{Case, CaseKind, Design, Kind, Request, draw};
 

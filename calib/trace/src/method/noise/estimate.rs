@@ -14,7 +14,7 @@ use super::spread_model::{SpreadModel, fit_variance_function};
 use super::tails::tails;
 use super::whitening::Weights;
 use crate::levels::{NOISE_PART, NORMAL_95, PRICE, gain, gain_at_bound};
-use wcal_core::median::median;
+use wcal_core::order_statistics::median;
 use wcal_core::verify_document::NoisePart;
 
 /// Gain in -2 log restricted likelihood from which the correlated part (its size and its time constant) is taken up.

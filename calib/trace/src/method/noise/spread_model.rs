@@ -9,7 +9,7 @@ use super::likelihood::{MeanModel, restricted_likelihood, standardised_by_channe
 use super::spread::{Spread, heteroscedasticity_test};
 use super::whitening::Weights;
 use crate::levels::SPREAD;
-use wcal_core::median::median;
+use wcal_core::order_statistics::median;
 
 /// Permutations of the test of the spread.
 const PERMUTATIONS: usize = 1999;

@@ -6,7 +6,7 @@ use super::system::ScalarSystem;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::fit;
 use crate::method::hypothesis::Hypothesis;
-use wcal_core::median::median;
+use wcal_core::order_statistics::median;
 
 /// Cycles over the whole range, fitted to each half of the readings.
 #[derive(Debug, Clone, Copy, PartialEq)]

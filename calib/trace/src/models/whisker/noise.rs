@@ -3,8 +3,8 @@
 use crate::method::noise::NoiseInputs;
 use crate::whisker::path::{Reading, WhiskerPath, averaged_readings};
 use std::sync::Arc;
-use wcal_core::median::median;
 use wcal_core::observation::WhiskerData;
+use wcal_core::order_statistics::median;
 
 /// Stage positions nearer than this are one, mm (half a microstep of the finest stages).
 const SAME_MM: f64 = 5e-5;

@@ -2,8 +2,8 @@
 
 use crate::whisker::temperature::RandomWalkModel;
 use nalgebra::Vector3;
-use wcal_core::median::median;
 use wcal_core::observation::{FbgSpec, MomentAxes, Role, Trajectory, WhiskerRow};
+use wcal_core::order_statistics::median;
 use wcal_rod::Line;
 
 /// One reading in the form the models need.

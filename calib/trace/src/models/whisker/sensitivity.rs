@@ -14,8 +14,8 @@ use crate::levels::NO_SENSITIVITY;
 use crate::method::distributions::chi_squared_tail;
 use crate::method::linear::Basis;
 use nalgebra::{DMatrix, DVector};
-use wcal_core::median::median;
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
+use wcal_core::order_statistics::median;
 
 /// Fewest loaded readings from which a response can be told.
 const MIN_LOADED: usize = 9;

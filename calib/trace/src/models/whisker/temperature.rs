@@ -4,7 +4,7 @@
 //! temperature that they are compared with: an error in variables, not an effect. Local level model and fixed-interval smoother: Harvey,
 //! "Forecasting, Structural Time Series Models and the Kalman Filter" (1989), ch. 4; the ratio of variances by maximum likelihood.
 
-use wcal_core::median::median;
+use wcal_core::order_statistics::median;
 
 /// Fewest readings that tell a walk from noise.
 const MIN_READINGS: usize = 12;

@@ -6,8 +6,8 @@
 use crate::whisker::path::WhiskerPath;
 use crate::whisker::rod_tables::RodTables;
 use nalgebra::{DMatrix, DVector};
-use wcal_core::median::median;
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
+use wcal_core::order_statistics::median;
 use wcal_core::verify_document::TwinFault;
 
 /// The rod and the label at one pose.

@@ -7,7 +7,7 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Normal};
 use std::collections::HashMap;
 use wcal_vision::camera::Camera;
-use wcal_vision::camera::lens::OPENCV5;
+use wcal_vision::camera::OPENCV5;
 use wcal_vision::picture::Picture;
 use wcal_vision::tags::apriltag_ffi::draw_tag;
 

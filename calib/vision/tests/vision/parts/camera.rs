@@ -2,7 +2,7 @@
 
 use nalgebra::{Vector2, Vector3};
 use wcal_vision::camera::Camera;
-use wcal_vision::camera::lens::{FISHEYE, Lens, MAX_COEFFICIENTS, OPENCV5, lenses};
+use wcal_vision::camera::{FISHEYE, Lens, MAX_COEFFICIENTS, OPENCV5, lenses};
 
 fn camera_with(lens: &'static dyn Lens) -> Camera {
     let own =

@@ -5,7 +5,7 @@ use wcal_vision::calibrate::export::exports;
 use wcal_vision::calibrate::import::{
     ImportedCamera, import_kalibr, import_opencv, import_ros, imported, read_cameras,
 };
-use wcal_vision::camera::lens::{FISHEYE, Lens, OPENCV5, lenses};
+use wcal_vision::camera::{FISHEYE, Lens, OPENCV5, lenses};
 
 fn document_with(lens: &'static dyn Lens) -> StereoDocument {
     let pose =

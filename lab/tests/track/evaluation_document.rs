@@ -1,5 +1,4 @@
 //! The document of an evaluation as it is written.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use wcal_lab::evaluation::document::Means;
 

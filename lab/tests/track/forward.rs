@@ -1,9 +1,4 @@
 //! The network that `wcal` runs is the one that was trained: the same numbers come out of both, on inputs of sweeps (SIMULATED).
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "a test that fails should say where, and one that measures says what it found"
-)]
 
 use burn::tensor::{Device, Tensor, TensorData};
 use std::path::Path;

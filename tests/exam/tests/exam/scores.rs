@@ -1,7 +1,5 @@
 //! The scorer: marks, held-out errors, bounds, and the whole run with a stand-in program.
 
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-
 use serde_json::{Value, json};
 use wcal_exam::{
     Examiner, Goal, Mark, Order, Outcome, by_noise, clopper_pearson, score, score_scalar, summarise,

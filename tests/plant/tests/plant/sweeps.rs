@@ -1,5 +1,4 @@
 //! Drawn sweeps: what they are, and that their contacts obey the laws that they state. SIMULATED.
-#![allow(clippy::unwrap_used, reason = "a test may panic")]
 
 use wcal_plant::sweep::SweepCase;
 

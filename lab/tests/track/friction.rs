@@ -1,6 +1,4 @@
 //! Friction and the wire's own weight, on small SIMULATED series.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-#![allow(missing_docs, reason = "tests")]
 
 use std::collections::BTreeMap;
 use wcal_core::observation::WhiskerSpec;

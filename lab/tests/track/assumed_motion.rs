@@ -1,6 +1,5 @@
 //! Contacts in motions that no sweep has, without any record of the motion: never `ok`, and their regions have the stated coverage
 //! (SIMULATED).
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use nalgebra::{Matrix2, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -183,7 +182,7 @@ fn track(
     score.streams += 1;
 }
 
-/// `cargo test --workspace --test assumed_motion -- --nocapture` prints the table of the tracking page.
+/// `cargo test --workspace --test track assumed_motion:: -- --nocapture` prints the table of the tracking page.
 #[test]
 fn contacts_of_which_no_motion_is_known_are_covered_and_never_ok() {
     let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/tracker");

@@ -1,6 +1,4 @@
 //! Answers are trained to lie on the object's surface, too. On small SIMULATED series.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-#![allow(missing_docs, reason = "tests")]
 
 use burn::tensor::Device;
 use nalgebra::{Point3, Vector3};

@@ -1,7 +1,5 @@
 //! What an exam draws: every effect, noise, layout and wire, the same each time.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that fails should say where")]
-
 use wcal_exam::orders::{Drawn, MIXES};
 use wcal_exam::{Order, orders};
 use wcal_plant::{CaseKind, Design, Noise, Request, ScalarNoise, ScalarRequest};

@@ -1,5 +1,4 @@
 //! Shards (SIMULATED): the same whatever the threads, taken up where they stopped, damaged ones made again.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,8 +1,6 @@
 //! Contacts that slide over an object whose motion is known in any direction, with a hold and back (SIMULATED).
 //!
 //! A sweep along the base's +z past a wire that is turned about its own axis is a sweep in another direction past the nominal wire.
-#![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
-#![allow(missing_docs, reason = "tests")]
 
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use rand::SeedableRng;

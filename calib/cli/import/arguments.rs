@@ -1,0 +1,145 @@
+//! What `wcal import` is asked.
+
+use crate::output::Overwrite;
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+use wcal_core::TransducerModel;
+use wcal_session::{Separator, TextTableLayout};
+
+/// Arguments of `wcal import`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  wcal import cell.csv --kind transducer --stimulus load --response out --model linear --out cell
+  wcal import stage.csv --kind axis --commanded cmd_mm --measured 'laser_um*0.001' --out axis-x
+
+'COL*FACTOR' multiplies a column. Errors of an axis in place of positions: --covariate error_um=COL (or error_mm, error_in).
+A file SIMULATED beside the table marks all that is made of it.")]
+pub struct ImportArgs {
+    /// Table to import (CSV, or text in columns)
+    pub file: PathBuf,
+    /// transducer, axis, whisker (in a V-groove) or sweep (past an object)
+    #[arg(long, value_enum, hide_possible_values = true)]
+    pub kind: Kind,
+    /// Folder of the new session
+    #[arg(long, value_name = "SESSION")]
+    pub out: PathBuf,
+    /// Overwrite unrelated files
+    #[command(flatten)]
+    pub overwrite: Overwrite,
+    /// Log with t_s and base_x_mm .. base_z_mm, or object_x_mm .. (sweep)
+    #[arg(long, value_name = "LOG", required_if_eq("kind", "sweep"))]
+    pub motion: Option<PathBuf>,
+    /// Mesh of the object (sweep)
+    #[arg(long, value_name = "STL")]
+    pub object: Option<PathBuf>,
+    /// X,Y,Z (mm),QW,QX,QY,QZ of the mesh in the frame of the base's poses
+    #[arg(long, value_name = "POSE", value_delimiter = ',', allow_hyphen_values = true)]
+    pub object_pose: Option<Vec<f64>>,
+    /// Table of sealed readings with the same layout
+    #[arg(long, value_name = "FILE")]
+    pub holdout: Option<PathBuf>,
+
+    /// Column of the stimulus (transducer); --model constant does without
+    #[arg(long, value_name = "COL")]
+    pub stimulus: Option<String>,
+    /// Column of the response (transducer)
+    #[arg(long, value_name = "COL", required_if_eq("kind", "transducer"))]
+    pub response: Option<String>,
+    /// constant, linear, quadratic (transducer), or WHISKER.toml (whisker)
+    #[arg(long, value_name = "MODEL", value_parser = declared, required_if_eq_any([("kind", "transducer"), ("kind", "whisker")]))]
+    pub model: Option<Declared>,
+    /// Unit of the stimulus (transducer)
+    #[arg(long, value_name = "UNIT", default_value = "1")]
+    pub stimulus_unit: String,
+    /// Unit of the response (transducer)
+    #[arg(long, value_name = "UNIT", default_value = "1")]
+    pub response_unit: String,
+    /// Further column, with its name in the session; may be repeated
+    #[arg(long = "covariate", value_name = "NAME=COL")]
+    pub covariates: Vec<String>,
+    /// Column of the commanded position (axis)
+    #[arg(long, value_name = "COL", required_if_eq("kind", "axis"))]
+    pub commanded: Option<String>,
+    /// Column of the measured position (axis)
+    #[arg(long, value_name = "COL")]
+    pub measured: Option<String>,
+
+    /// Column of the time, s
+    #[arg(long, value_name = "COL")]
+    pub time: Option<String>,
+    /// Column of the direction, +1 or -1
+    #[arg(long, value_name = "COL")]
+    pub direction: Option<String>,
+    /// Column of the temperature, deg C
+    #[arg(long, value_name = "COL")]
+    pub temperature: Option<String>,
+    /// Column of the cycle (axis)
+    #[arg(long, value_name = "COL")]
+    pub cycle: Option<String>,
+    /// Column of the repetition; of an axis it is the cycle
+    #[arg(long, value_name = "COL")]
+    pub replicate: Option<String>,
+    /// Column of the role [default: every row is "calibration"]
+    #[arg(long, value_name = "COL")]
+    pub role: Option<String>,
+
+    /// Lines before the table (NIST Dataplot 25, StRD 60)
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub skip_lines: usize,
+    /// Names of the columns, where there is no header line
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub columns: Option<Vec<String>>,
+    /// comma, semicolon, tab or whitespace
+    #[arg(long, value_name = "SEPARATOR", default_value = "comma")]
+    pub separator: Separator,
+    /// Short for --separator whitespace
+    #[arg(long, conflicts_with = "separator")]
+    pub whitespace: bool,
+    /// Decimals are written with a comma
+    #[arg(long)]
+    pub decimal_comma: bool,
+    /// Print the result as JSON on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Kind of session.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Kind {
+    /// One stimulus, one response.
+    Transducer,
+    /// Commanded against measured position.
+    Axis,
+    /// Whisker pressed by a V-groove.
+    Whisker,
+    /// Whisker passing an object along a known motion.
+    Sweep,
+}
+
+/// What is declared of the instrument.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Declared {
+    /// Law of a transducer.
+    Law(TransducerModel),
+    /// File that describes a whisker.
+    Whisker(PathBuf),
+}
+
+fn declared(text: &str) -> Result<Declared, String> {
+    if text.ends_with(".toml") {
+        return Ok(Declared::Whisker(text.into()));
+    }
+    let law: Result<TransducerModel, toml::de::Error> = toml::Value::from(text).try_into();
+    law.map(Declared::Law)
+        .map_err(|_| format!("expected constant, linear, quadratic, or a file WHISKER.toml, found {text}"))
+}
+
+pub(super) fn name_of(value: impl ValueEnum) -> String {
+    value.to_possible_value().map(|v| v.get_name().to_owned()).unwrap_or_default()
+}
+
+pub(super) fn layout(args: &ImportArgs) -> TextTableLayout {
+    let separator = if args.whitespace { Separator::Whitespace } else { args.separator };
+    let (columns, skip_lines) = (args.columns.clone(), args.skip_lines);
+    TextTableLayout { skip_lines, columns, separator, decimal_comma: args.decimal_comma }
+}

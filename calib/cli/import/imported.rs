@@ -1,0 +1,124 @@
+//! The folder of an imported session: what may be replaced in it, and what is said of it.
+
+use super::arguments::ImportArgs;
+use super::columns::WAY_IN;
+use crate::output::{OutputFolder, ResultKind, first_line};
+use crate::simulated::word;
+use schemars::JsonSchema;
+use serde::Serialize;
+use std::path::Path;
+use std::process::ExitCode;
+use wcal_core::InputFile;
+use wcal_session::TextTable;
+
+/// Name of the object's mesh in the folder.
+pub const OBJECT: &str = "object.stl";
+
+/// An imported session: its description says which command made it.
+pub(super) const RESULT: ResultKind<'_> = ResultKind {
+    command: "import",
+    document: "session.toml",
+    format_prefix: "command = [\"import\"",
+    files: &["points.csv", "holdout.csv", "rest_shape.csv", OBJECT],
+    kept: &["unsealed.json"],
+    resumes: false,
+    made_of,
+};
+
+/// The tables that an imported session was made of, and its columns.
+fn made_of(folder: &Path) -> Option<String> {
+    let names = earlier_inputs(folder)?.into_iter().map(|(name, _)| name).collect::<Vec<_>>().join(", ");
+    let columns = first_line(&folder.join("points.csv")).unwrap_or_default();
+    Some(described(&names, &columns))
+}
+
+fn described(tables: &str, columns: &str) -> String {
+    format!("{tables} with the columns {columns}")
+}
+
+/// Name and hash of each table that an imported session was made of.
+fn earlier_inputs(folder: &Path) -> Option<Vec<(String, String)>> {
+    let text = wcal_core::files::read_text(folder.join("session.toml")).ok()?;
+    let table = wcal_core::document::toml(&text).ok()?;
+    let inputs = table.get("provenance")?.get("inputs")?.as_array()?;
+    let text = |input: &toml::Value, key: &str| Some(input.get(key)?.as_str()?.to_owned());
+    inputs.iter().map(|input| Some((text(input, "path")?, text(input, "sha256")?))).collect()
+}
+
+/// Refuses to replace the session of other tables. The same table may be imported again with other options, and a later state of it with the
+/// same columns.
+pub(super) fn refuse_other_tables(
+    out: &OutputFolder<'_>,
+    tables: &[&TextTable],
+    points: &[u8],
+) -> anyhow::Result<()> {
+    let earlier = earlier_inputs(out.folder()).unwrap_or_default();
+    // The first is the table of the points; a holdout may be added or left out.
+    if earlier.first().zip(tables.first()).is_some_and(|((_, sha256), table)| *sha256 == table.sha256) {
+        return Ok(());
+    }
+    let name = |table: &&TextTable| {
+        let file = Path::new(&table.file).file_name();
+        file.map_or_else(|| table.file.clone(), |n| n.to_string_lossy().into_owned())
+    };
+    let names = tables.iter().map(name).collect::<Vec<_>>().join(", ");
+    let columns = String::from_utf8_lossy(points).lines().next().unwrap_or_default().to_owned();
+    out.refuse_other(&described(&names, &columns))
+}
+
+/// Says what was imported, and what was odd about it; exit code 3 where the new session carries warnings.
+pub(super) fn say(
+    args: &ImportArgs,
+    document: &ImportDocument<'_>,
+    sources: &[&TextTable],
+) -> anyhow::Result<ExitCode> {
+    let ImportDocument { session, kind, rows, warnings, columns_left_out, .. } = document;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(document)?);
+    } else {
+        let what = if kind == "sweep" { "sweep" } else { "session" };
+        println!("{}: {rows} rows, {what} {session:?}{}", args.out.display(), word(document.simulated));
+    }
+    // Of the tables that were given: those of the session end as they should.
+    for remark in sources.iter().filter_map(|table| table.warning()) {
+        eprintln!("{remark}");
+    }
+    for (source, encoding) in sources.iter().filter_map(|s| Some((s, s.encoding?))) {
+        eprintln!("{}: read as {encoding}", source.file);
+    }
+    if !columns_left_out.is_empty() {
+        let way_in = if kind == "sweep" { "" } else { WAY_IN };
+        eprintln!("columns not imported: {}{way_in}", columns_left_out.join(", "));
+    }
+    for warning in warnings {
+        eprintln!("warning: {warning}");
+    }
+    Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
+}
+
+/// A table that became a session.
+#[derive(Serialize, JsonSchema)]
+pub struct ImportDocument<'a> {
+    /// Format and version.
+    #[schemars(extend("const" = "wcal-import/1"))]
+    pub(super) format: &'static str,
+    /// Identifier.
+    pub(super) session: String,
+    /// Kind.
+    #[schemars(extend("enum" = ["whisker", "transducer", "axis", "sweep"]))]
+    pub(super) kind: String,
+    /// Folder.
+    pub(super) folder: &'a Path,
+    /// Marked as simulated.
+    pub(super) simulated: bool,
+    /// Rows.
+    pub(super) rows: usize,
+    /// Sealed rows.
+    pub(super) holdout_rows: usize,
+    /// Columns of the table that the session does not have.
+    pub(super) columns_left_out: Vec<String>,
+    /// Remarks.
+    pub(super) warnings: Vec<String>,
+    /// Files written; none of a sweep.
+    pub(super) inputs: Vec<InputFile>,
+}

@@ -5,9 +5,11 @@
 //! error(x) = sum_k h_k(x) (a_k + b_k [falling])        h_k: 1 at place k, 0 at its neighbours, straight between
 //! ```
 
-use super::ERROR_TABLE;
 use crate::effect::{Effect, LawRequirement, law};
 use crate::scalar::scalar_effect::ScalarEffect;
+
+/// Identifier of the table of errors by place.
+pub const ERROR_TABLE: &str = "error-table";
 
 /// The table at `places` (half ranges, rising); none where they are not repeated.
 pub fn error_table(places: &[f64]) -> ScalarEffect {

@@ -11,13 +11,9 @@ mod stimulus;
 
 use super::frame::Frame;
 use super::scalar_effect::ScalarEffect;
-
-/// Identifier of the effect on the spread of the noise, found by `scalar::spread_test`.
-pub const HETEROSCEDASTIC_NOISE: &str = "heteroscedastic-noise";
-/// Identifier of the table of errors by place.
-pub const ERROR_TABLE: &str = "error-table";
-/// Identifier of the periodic effect.
-pub const PERIODIC: &str = "periodic";
+pub use error_table::ERROR_TABLE;
+pub use periodic::PERIODIC;
+pub use response::HETEROSCEDASTIC_NOISE;
 
 /// Every effect of docs/src/formats.md for kinds "transducer" and "axis".
 pub fn scalar_catalogue(frame: &Frame, covariates: usize) -> Vec<ScalarEffect> {

@@ -1,9 +1,11 @@
 //! Periodic effect: sine and cosine over stimulus, time or order, with a free frequency.
 
-use super::PERIODIC;
 use crate::effect::{Effect, LawRequirement, law};
 use crate::scalar::frame::{Frame, correlation};
 use crate::scalar::scalar_effect::ScalarEffect;
+
+/// Identifier of the periodic effect.
+pub const PERIODIC: &str = "periodic";
 
 /// Half cycles: neighbouring frequencies are then still half in step, and the fit slides to the best between them.
 const GRID: [f64; 197] = {

@@ -1,9 +1,11 @@
 //! Effects that add columns to the response, and those of its noise.
 
-use super::HETEROSCEDASTIC_NOISE;
 use crate::effect::{Effect, LawRequirement, law};
 use crate::method::noise::spread::MIN_READINGS;
 use crate::scalar::scalar_effect::ScalarEffect;
+
+/// Identifier of the effect on the spread of the noise, found by `scalar::spread_test`.
+pub const HETEROSCEDASTIC_NOISE: &str = "heteroscedastic-noise";
 
 /// Law of an odd response.
 const ABOUT_ZERO: &str = "power-3-about-zero";

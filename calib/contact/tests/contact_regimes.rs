@@ -11,21 +11,23 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
+use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::{Contact, Estimator};
-use wcal_contact::known_motion::{Friction, MomentField};
+use wcal_contact::known_motion::MomentField;
 use wcal_contact::known_motion_stream::MotionAccuracy;
 use wcal_contact::known_motion_table::KnownMotionTable;
 use wcal_contact::reading::{Moments, Reading, RowMotion};
-use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
+use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_plant::sweep::SweepCase;
 use wcal_rod::Rod;
 
 const NOISE_NMM: f64 = 1e-3;
+const MOVED_SD_MM: f64 = 0.002;
 /// Squared radius of the 95 % region of three Gaussian numbers.
 const CHI2_95: f64 = 7.815;
 /// Presses of a family, and sweeps.
 const PRESSES: u64 = 24;
-const SWEEPS: u64 = 8;
+const SWEEPS: u64 = 4;
 /// Seeds: none of them was looked at when anything was chosen.
 const SEED: u64 = 41_000;
 /// Relative standard deviation of another wire's diameter, and of the moments by it.
@@ -51,9 +53,8 @@ struct Known {
     touch: Option<(Vector3<f64>, f64)>,
 }
 
-fn field() -> MomentField {
-    let rod = Rod::new(&WhiskerSpec::nominal(), 4.0).unwrap();
-    MomentField::new(&rod, &MomentAxes::default(), Friction::NONE)
+fn calibrated(whisker: &WhiskerSpec) -> CalibratedWire {
+    CalibratedWire::of_rod(Rod::new(whisker, 4.0).unwrap(), whisker.diameter_mm)
 }
 
 fn reading(
@@ -86,14 +87,19 @@ fn press(field: &MomentField, family: Family, seed: u64) -> Vec<Known> {
     let thicker: f64 = DIAMETER_SHARE * rng.sample::<f64, _>(StandardNormal);
     let stiffer = if family == Family::OtherWire { (1.0 + thicker).powi(4) } else { 1.0 };
     let way = if family == Family::Reversed { -1.0 } else { 1.0 };
-    let (touch, goes_on) = (field.free(s_mm).0, Vector3::new(turn.cos(), turn.sin(), 0.0) * creep);
+    // What the tracker calls unknown is drawn: the gap, and the motion's jitter.
+    let mut normal = |sd: f64| -> f64 { sd * rng.sample::<f64, _>(StandardNormal) };
+    let (wire, tangent) = field.free(s_mm);
+    let touch = wire + tangent.cross(&Vector3::z()).normalize() * normal(0.5);
+    let goes_on = Vector3::new(turn.cos(), turn.sin(), 0.0) * creep;
     let one = |k: usize| {
         let depth = 0.12 * k as f64 - 1.0;
         let held = (depth > 0.0).then(|| touch + Vector3::z() * depth + goes_on * depth);
         let moment = held.map_or([0.0; 2], |p| field.held(&p, 0.0).unwrap().moment_nmm);
-        let read = moment.map(|m| stiffer * m + NOISE_NMM * rng.sample::<f64, _>(StandardNormal));
+        let read = moment.map(|m| stiffer * m + normal(NOISE_NMM));
         let noise = Matrix2::identity() * NOISE_NMM * NOISE_NMM;
-        let motion = (Vector3::z() * depth * way, Vector3::z() * 1.2 * way);
+        let jitter = Vector3::from_fn(|_, _| normal(MOVED_SD_MM));
+        let motion = (Vector3::z() * depth * way + jitter, Vector3::z() * 1.2 * way);
         let shared = (Vec::new(), Matrix2::zeros());
         Known {
             reading: reading(k, 0.1 * k as f64, (read, noise), shared, motion),
@@ -155,11 +161,9 @@ struct Stated {
     weight: f64,
 }
 
-fn tracked(wire: &WhiskerSpec, record: &[Known], family: Family) -> Stated {
-    let accuracy = MotionAccuracy { moved_sd_mm: 0.002, clock_sd_s: 0.0 };
-    let rod = Rod::new(wire, 4.0).unwrap();
-    let field = MomentField::new(&rod, &MomentAxes::default(), Friction::NONE);
-    let mut table = KnownMotionTable::new(field, wire, accuracy, false);
+fn tracked(wire: CalibratedWire, record: &[Known], family: Family) -> Stated {
+    let accuracy = MotionAccuracy { moved_sd_mm: MOVED_SD_MM, clock_sd_s: 0.0 };
+    let mut table = KnownMotionTable::new(wire, accuracy, false).unwrap();
     record.iter().for_each(|k| assert!(table.push(&k.reading).unwrap().is_empty()));
     let found = table.finish().unwrap();
     let one = |(contact, known): (&Contact, &Known)| {
@@ -171,25 +175,26 @@ fn tracked(wire: &WhiskerSpec, record: &[Known], family: Family) -> Stated {
     };
     let rows = found.iter().zip(record).filter_map(one).collect();
     let contacts = table.findings().document.contacts.unwrap();
-    let weight = |contact: &str| match (contact, family) {
-        ("fixed", Family::Fixed | Family::Creeping | Family::OtherWire) => 1.0,
-        ("sliding", Family::Sliding) => 1.0,
-        ("fixed-or-sliding", _) => 0.5,
-        _ => 0.0,
+    let own = match family {
+        Family::Fixed | Family::OtherWire => "fixed",
+        Family::Creeping => "creeping",
+        Family::Reversed => "reversed",
+        Family::Sliding => "sliding",
     };
-    let weight = contacts.iter().map(|c| weight(c.contact.unwrap())).fold(0.0, f64::max);
+    let weight = contacts.iter().map(|c| c.weights.as_ref().unwrap()[own]).fold(0.0, f64::max);
     Stated { rows, weight }
 }
 
 /// Shares of the readings that ellipsoids and regions hold, the median standard deviation (mm), and how many records have the right regime.
-fn judged(family: Family) -> [f64; 4] {
-    let own = field();
+fn judged(family: Family, tolerance: f64) -> [f64; 4] {
+    let tolerance = (family == Family::OtherWire && tolerance > 0.0).then_some(tolerance);
+    let wire = calibrated(&WhiskerSpec::nominal()).with_tolerance(tolerance);
     let one = |k: u64| match family {
         Family::Sliding => {
             let case = SweepCase::draw(SEED + 500 + k).unwrap();
-            tracked(&whisker(&case), &sweep(&case), family)
+            tracked(calibrated(&whisker(&case)), &sweep(&case), family)
         }
-        _ => tracked(&WhiskerSpec::nominal(), &press(&own, family, SEED + 100 * family as u64 + k), family),
+        _ => tracked(wire.clone(), &press(&wire.field, family, SEED + 100 * family as u64 + k), family),
     };
     let records = if family == Family::Sliding { SWEEPS } else { PRESSES };
     let all: Vec<Stated> = (0..records).into_par_iter().map(one).collect();
@@ -211,6 +216,11 @@ fn judged(family: Family) -> [f64; 4] {
 #[test]
 fn regions_hold_and_the_regime_is_told_in_every_family() {
     for family in [Family::Fixed, Family::Creeping, Family::Reversed, Family::OtherWire, Family::Sliding] {
-        judged(family);
+        let [in_space, along, _, right] = judged(family, DIAMETER_SHARE);
+        // 24 presses, or four sweeps, of which each is held or not: the goal is 0.92 to 0.97 and 0.9, measured in the lab notes.
+        assert!(in_space > 0.85 && along > 0.7 && right > 0.8, "{family:?}: {in_space} {along} {right}");
     }
+    // Control: a foreign wire that is taken for the calibration's own is mostly lost.
+    let [in_space, ..] = judged(Family::OtherWire, 0.0);
+    assert!(in_space < 0.5, "{in_space}");
 }

@@ -293,7 +293,7 @@ impl KnownMotionTable {
                 (Some(Regime::Sliding), true) if !c.sliding.sure() => "the fit of a sliding contact leaves more than noise, or the motion turns \
                      back: the contact may be lost, and its regions are wide; marked sliding-assumed in status"
                     .to_owned(),
-                (Some(Regime::Reversed), _) => "the motion with its sign reversed explains the moments; marked motion-disagrees in status".to_owned(),
+                (Some(Regime::Reversed), _) => "moments and motion disagree: with its sign reversed the motion explains them; marked motion-disagrees in status".to_owned(),
                 _ if !c.slides() && c.disagrees() => match c.point().innovations.sentence() {
                     Some(said) => format!("{said}; marked motion-disagrees in status"),
                     None => "the motion says nothing of the moments; marked motion-disagrees in status".to_owned(),

@@ -268,7 +268,12 @@ impl Part {
         );
         let reversed_cost = control.iter().map(|h| h.cost).fold(f64::INFINITY, f64::min);
         let hypotheses = of_one_surface(hypotheses, means.len(), |h| h);
-        let best = |all: &[Hypothesis]| all.iter().map(|h| h.ln_evidence).fold(f64::NEG_INFINITY, f64::max);
+        // A surface that leaves more than this explains nothing, whatever its evidence beside worse ones.
+        let most = MAX_COST * means.len() as f64;
+        let explains = |h: &&Hypothesis| h.cost <= most;
+        let best = |all: &[Hypothesis]| {
+            all.iter().filter(explains).map(|h| h.ln_evidence).fold(f64::NEG_INFINITY, f64::max)
+        };
         let ln_evidence = [best(&hypotheses), best(&control)];
         let count = means.len();
         (!hypotheses.is_empty()).then_some(Self { hypotheses, reversed_cost, ln_evidence, count, at })

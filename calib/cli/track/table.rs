@@ -6,12 +6,13 @@ use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
 use std::process::ExitCode;
+use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::Estimator;
 use wcal_contact::known_groove::KnownGroove;
 use wcal_contact::known_motion_table::KnownMotionTable;
 use wcal_contact::motion_table::{LoggedMotion, has_motion, read};
 use wcal_contact::reading::Reading;
-use wcal_contact::session_groove::{moment_field, session_readings, without_groove};
+use wcal_contact::session_groove::{session_readings, without_groove};
 use wcal_contact::static_arc::StaticArc;
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::TableSource;
@@ -21,7 +22,6 @@ use wcal_contact::track_document::{
 use wcal_contact::trust::WhiskerModel;
 use wcal_contact::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
 use wcal_contact::zero::{FreeStart, beginning};
-use wcal_core::observation::MomentAxes;
 use wcal_core::verify_document::GrooveTracking;
 use wcal_core::{SessionData, WhiskerData, WhiskerRow, WireFrame};
 use wcal_trace::whisker::WhiskerSystem;
@@ -130,10 +130,11 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
             None,
         ));
     }
+    let wire = CalibratedWire::new(&source.wire, &source.changed, whisker.diameter_mm);
     if args.motion.is_none() && !has_motion(path)? {
         let mut readings = source.alone();
         let tare_s = zero_span_s(args, path, &mut readings, (has_misfit, zero_known))?;
-        return Ok(prepared(readings, Box::new(StaticArc::new(&whisker)), (false, tare_s), None));
+        return Ok(prepared(readings, Box::new(StaticArc::new(wire)), (false, tare_s), None));
     }
     let file = args.motion.as_deref().unwrap_or(path);
     let logged = read(file)?;
@@ -147,15 +148,12 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
             file.display()
         );
     }
-    let axes = MomentAxes::default();
-    let field = moment_field(&source.wire, &axes)
-        .with_changed(source.changed.iter().map(|w| moment_field(w, &axes)).collect());
-    let mut readings = source.along(&logged, &(base_from_wire * field.free(0.5 * field.length_mm()).0));
+    let mut readings = source.along(&logged, &(base_from_wire * wire.middle_mm()));
     // A sweep passes an object: the contact slides over it.
     let over_object = path.parent().map(SweepSession::of).transpose()?.flatten().is_some();
     // Readings of a sweep follow each other: what the poses of a calibration scatter by is no noise of theirs, but an error that they share.
     let tare_s = zero_span_s(args, path, &mut readings, (has_misfit || over_object, zero_known))?;
-    let estimator = KnownMotionTable::new(field, &whisker, ACCURACY, over_object);
+    let estimator = KnownMotionTable::new(wire, ACCURACY, over_object)?;
     Ok(prepared(readings, Box::new(estimator), (false, tare_s), Some(log_document(file, &logged))))
 }
 

@@ -72,6 +72,7 @@ fn main() {
     let covariance_nmm2 = Matrix2::identity() * NOISE_NMM * NOISE_NMM;
     let correlated = Some(CorrelatedNoise::ByPose { covariance_nmm2, length_mm: 0.5 });
     let settings = Settings { clock_sd_s: 0.01, correlated, ..Settings::default() };
+    let creeping = Settings { creep_sd: 0.15, ..settings };
     for (name, friction) in
         [("none", Friction::NONE), ("0.2", Friction { coefficient: 0.2, moving_share: 1.0 })]
     {
@@ -83,14 +84,14 @@ fn main() {
             let (mut each_us, mut rows, mut preempted) = (Vec::new(), 0, 0);
             for seed in 0..6 {
                 let press = press(&field, seed, shared);
-                let mut stream = ContactStream::new(Arc::clone(&field), settings);
+                let mut stream = ContactStream::new(Arc::clone(&field), vec![settings, creeping]);
                 for row in &press {
                     let before = preemptions();
                     let start = Instant::now();
                     let found = stream.push(row, 0, None).expect("a sound reading");
                     // Free readings before the contact cost nothing.
                     let us = start.elapsed().as_secs_f64() * 1e6;
-                    match (found.place.is_some(), preemptions() == before) {
+                    match (found.episode.is_some(), preemptions() == before) {
                         (true, true) => each_us.push(us),
                         (true, false) => preempted += 1,
                         _ => {}

@@ -4,10 +4,8 @@
 //!
 //! `w_k ~ l_k` on the wire (l_k the length that the node stands for), `TIP` in all at the tip's tilts; 0 where m cannot come from;
 //! `p = sum w_k p_k`, `C = sum w_k ((p_k - p)(p_k - p)' + c_k^2 s^2 n_k n_k') + s_min^2 1`, `c = |dp.n/dm|`, `s` the moments' standard deviation.
-//!
-//! Its regions are those of highest density over the arc length: one piece for each peak.
 
-use crate::known_motion::Region;
+use crate::arc_posterior::ArcDensity;
 use nalgebra::{Matrix3, Vector3};
 use wcal_track::inverse::{InverseSolution, Node, StaticInverse};
 use wcal_track::network::Prediction;
@@ -16,9 +14,6 @@ use wcal_track::network::Prediction;
 const TIP: f64 = 0.15;
 /// Standard deviation added for model errors, mm: friction tilts the force, and a wire differs from its model.
 const MIN_SD_MM: f64 = 0.5;
-/// Mass of the stated regions.
-const REGION: f64 = 0.95;
-
 /// Length that each node stands for, mm; the tip's share it out among its tilts.
 fn lengths(nodes: &[Node]) -> Vec<f64> {
     let at = |k: usize| nodes[k].arclength_mm;
@@ -114,43 +109,19 @@ pub fn any_motion(
     Prediction { covariance_mm2, weights, ..network }
 }
 
-/// 95 % region of highest density over the arc length of a posterior on the inverse's nodes: one piece for each peak. Empty without weights.
-pub fn arclength_regions(nodes: &[Node], weights: &[f32]) -> Vec<Region> {
+/// Density over the arc length of weights on the inverse's nodes; empty without weights.
+pub fn arc_density(nodes: &[Node], weights: &[f32]) -> ArcDensity {
     if weights.len() != nodes.len() || nodes.len() < 2 {
-        return Vec::new();
+        return ArcDensity::default();
     }
     // The tip's tilts are one place: the last node of the wire.
     let on_wire = nodes.iter().position(|n| n.tilt > 0.0).unwrap_or(nodes.len());
-    let mut mass: Vec<f64> = weights[..on_wire].iter().map(|w| f64::from(*w)).collect();
-    let Some(tip) = mass.last_mut() else { return Vec::new() };
-    *tip += weights[on_wire..].iter().map(|w| f64::from(*w)).sum::<f64>();
-    let nodes = &nodes[..on_wire];
-    let lengths = lengths(nodes);
-    let mut order: Vec<usize> = (0..on_wire).collect();
-    order.sort_by(|a, b| (mass[*b] / lengths[*b]).total_cmp(&(mass[*a] / lengths[*a])));
-    // Highest density: nodes in order of mass per length until the region has its mass.
-    let (mut inside, mut sum) = (vec![false; on_wire], 0.0);
-    for k in order {
-        if sum >= REGION {
-            break;
-        }
-        inside[k] = true;
-        sum += mass[k];
+    let mut masses: Vec<f64> = weights[..on_wire].iter().map(|w| f64::from(*w)).collect();
+    if let Some(tip) = masses.last_mut() {
+        *tip += weights[on_wire..].iter().map(|w| f64::from(*w)).sum::<f64>();
     }
-    let mut pieces: Vec<Region> = Vec::new();
-    let at = |k: usize| nodes[k].arclength_mm;
-    for k in (0..on_wire).filter(|k| inside[*k]) {
-        let from_mm = if k == 0 { at(k) } else { 0.5 * (at(k - 1) + at(k)) };
-        let to_mm = if k + 1 == on_wire { at(k) } else { 0.5 * (at(k) + at(k + 1)) };
-        match pieces.last_mut().filter(|_| k > 0 && inside[k - 1]) {
-            Some(piece) => {
-                piece.to_mm = to_mm;
-                piece.probability += mass[k];
-            }
-            None => pieces.push(Region { from_mm, to_mm, probability: mass[k] }),
-        }
-    }
-    pieces
+    let places: Vec<f64> = nodes[..on_wire].iter().map(|n| n.arclength_mm).collect();
+    ArcDensity::of_masses(&places, &masses)
 }
 
 #[cfg(test)]
@@ -168,13 +139,13 @@ mod tests {
     fn two_peaks_are_two_pieces_and_the_tilts_are_the_tip() {
         let mut weights = vec![0.0_f32; 22];
         (weights[5], weights[6], weights[21], weights[20]) = (0.3, 0.3, 0.3, 0.1);
-        let pieces = arclength_regions(&nodes(), &weights);
+        let pieces = arc_density(&nodes(), &weights).regions();
         assert_eq!(pieces.len(), 2, "{pieces:?}");
         assert!((pieces[0].probability - 0.6).abs() < 1e-6 && (pieces[0].to_mm - 6.5).abs() < 1e-9);
         assert!((pieces[1].probability - 0.4).abs() < 1e-6 && (pieces[1].to_mm - 20.0).abs() < 1e-9);
-        assert!(arclength_regions(&nodes(), &[]).is_empty());
+        assert!(arc_density(&nodes(), &[]).regions().is_empty());
         let even = vec![1.0 / 22.0; 22];
-        let all: f64 = arclength_regions(&nodes(), &even).iter().map(|p| p.probability).sum();
+        let all: f64 = arc_density(&nodes(), &even).regions().iter().map(|p| p.probability).sum();
         assert!((0.95..=1.0).contains(&all), "{all}");
     }
 

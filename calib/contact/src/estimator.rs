@@ -1,7 +1,8 @@
 //! From readings to contacts: what every way to locate a contact has in common.
 
 use crate::ContactError;
-use crate::known_motion::{EpisodeContact, Region};
+use crate::arc_posterior::Region;
+use crate::known_motion::EpisodeContact;
 use crate::reading::Reading;
 use crate::track_document::EstimatorDocument;
 use nalgebra::{Matrix3, Rotation3, Vector3};

@@ -1,7 +1,7 @@
 //! Located places beside a groove that is known: errors, bound, coverage of the regions, and what that makes of a contact's uncertainty.
 
+use crate::arc_posterior::REGION;
 use crate::known_groove::binomial_cdf;
-use crate::known_motion::posterior::REGION;
 use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::verify_document::{CalibrationContact, ContactUncertainty, GrooveTracking};
 

@@ -1,33 +1,39 @@
-//! Contacts of a stream along a known motion, reading by reading: episodes and recursive posterior ([`ContactStream`]); no network. Where no fixed
-//! point of the object explains the moments any more, the contact is followed as one that slides ([`SlidingStream`]), as in a table.
+//! Contacts of a stream along a known motion, reading by reading: episodes and recursive posteriors ([`ContactStream`]); no network. Where a point
+//! that stays does not explain the moments, the contact is followed as one that slides ([`SlidingStream`]), too; each way has its weight
+//! ([`crate::regimes`]), anew with each block of readings.
 //!
 //! Noise: a row's own is that of the no-contact prefix through the filter; the calibration's noise from pose to pose is a draw that rows of
 //! one pose share, forgotten over half a millimetre (an assumption); the zero is another two unknowns of all rows ([`crate::zero`]).
 
 use crate::ContactError;
+use crate::arc_posterior::ArcDensity;
+use crate::calibrated_wire::CalibratedWire;
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
 use crate::known_motion::contact_stream::FinishedEpisode;
 use crate::known_motion::{
-    ContactStream, CorrelatedNoise, EpisodeContact, MomentField, MotionRow, Region, Settings, StreamedContact,
+    ContactStream, CorrelatedNoise, EpisodeContact, MotionRow, Settings, StreamedContact,
 };
 use crate::reading::{Moments, Reading, RowMotion};
-use crate::sliding::{SlidingStream, TouchedWire};
+use crate::regimes::{
+    ANY_OBJECT, Alternative, CREEP_SDS, GROOVE, LEAST_WEIGHT, Regime, RegimeWeights, anywhere_evidence,
+    averaged, creeping_evidence, point_evidence,
+};
+use crate::sliding::{Blocks, SlidingStream, reversed};
 use crate::static_arc::StaticArc;
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Vector3};
 use std::sync::Arc;
-use wcal_core::WhiskerSpec;
-use wcal_core::observation::MomentAxes;
 use wcal_core::stream::Flags;
 
-/// Of an object of which nothing is known the touched point goes on by so much of the motion (standard deviation). An assumption.
-pub(crate) const CREEP_SD: f64 = 0.15;
 /// Displacement over which a draw of the noise from pose to pose is forgotten, mm. An assumption.
 const POSE_MM: f64 = 0.5;
 /// Share of the noise from pose to pose that a row has for itself where no prefix was measured. An assumption, as for the filters.
 const WHITE: f64 = 0.2;
-/// Rows of a contact that are kept for the case that it slides later.
+/// Rows of a contact that are kept for the case that it slides later, and blocks by which it is weighed.
 const MAX_BEFORE: usize = 4096;
+const MAX_BLOCKS: usize = 60;
+/// Fewer blocks say nothing of how a contact moves.
+const MIN_BLOCKS: usize = 3;
 /// A contact goes on over rows without moments or motion for so long, s: the displacement is known again after them.
 const MAX_LOST_S: f64 = 1.0;
 
@@ -40,20 +46,31 @@ pub struct MotionAccuracy {
     pub clock_sd_s: f64,
 }
 
+/// The contact at hand.
+struct Touch {
+    number: u64,
+    push: Vector3<f64>,
+    /// The last free row before it, its loaded rows until it is followed as one that slides, and their blocks.
+    before: Option<MotionRow>,
+    rows: Vec<MotionRow>,
+    blocks: Blocks,
+    sliding: Option<SlidingStream>,
+    weights: RegimeWeights,
+    /// How much it creeps most probably, where it does.
+    creep_sd: f64,
+}
+
 /// The estimator of one whisker.
 pub struct KnownMotionStream {
-    field: Arc<MomentField>,
+    wire: CalibratedWire,
     accuracy: MotionAccuracy,
-    /// See [`Settings::creep_sd`].
-    creep_sd: f64,
+    prior: RegimeWeights,
     /// From the first moments on: they say what their noise is.
     stream: Option<ContactStream>,
     /// For loaded rows whose motion is not known.
     alone: StaticArc,
-    whisker: WhiskerSpec,
-    /// The contact at hand: its number, its loaded rows until it slides, and what follows it then.
-    touch: Option<(u64, Vec<MotionRow>)>,
-    sliding: Option<SlidingStream>,
+    touch: Option<Touch>,
+    free: Option<MotionRow>,
     slid: u64,
     rows: u64,
     disagreeing: u64,
@@ -63,22 +80,16 @@ pub struct KnownMotionStream {
 }
 
 impl KnownMotionStream {
-    /// Of a whisker whose wire has the moments of `field`; a groove holds it at one place.
-    pub fn new(
-        field: Arc<MomentField>,
-        whisker: &WhiskerSpec,
-        accuracy: MotionAccuracy,
-        of_groove: bool,
-    ) -> Self {
+    /// Of a whisker's wire; a groove holds it at one place.
+    pub fn new(wire: CalibratedWire, accuracy: MotionAccuracy, of_groove: bool) -> Self {
         Self {
-            field,
+            alone: StaticArc::new(wire.clone()),
+            wire,
             accuracy,
-            creep_sd: if of_groove { 0.0 } else { CREEP_SD },
+            prior: if of_groove { GROOVE } else { ANY_OBJECT },
             stream: None,
-            alone: StaticArc::new(whisker),
-            whisker: whisker.clone(),
             touch: None,
-            sliding: None,
+            free: None,
             slid: 0,
             rows: 0,
             disagreeing: 0,
@@ -92,22 +103,26 @@ impl KnownMotionStream {
         let pose_nmm2 = m.pose_nmm2;
         let stream = self.stream.get_or_insert_with(|| {
             let correlated = Some(CorrelatedNoise::ByPose { covariance_nmm2: pose_nmm2, length_mm: POSE_MM });
-            let clock_sd_s = self.accuracy.clock_sd_s;
-            let settings =
-                Settings { clock_sd_s, correlated, creep_sd: self.creep_sd, ..Settings::default() };
-            ContactStream::new(Arc::clone(&self.field), settings)
+            let fixed = Settings {
+                clock_sd_s: self.accuracy.clock_sd_s,
+                stiffness_sd: self.wire.stiffness_sd(),
+                correlated,
+                ..Settings::default()
+            };
+            let mut settings = vec![fixed];
+            if self.prior.of(Regime::Creeping) > 0.0 {
+                settings.extend(CREEP_SDS.map(|creep_sd| Settings { creep_sd, ..fixed }));
+            }
+            ContactStream::new(Arc::clone(&self.wire.field), settings)
         });
         if self.last_s.replace(row.t_s).is_some_and(|last| row.t_s - last > MAX_LOST_S) {
             stream.interrupt();
         }
-        let zero = m.zero_nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l());
-        let mut shared_nmm = m.shared_nmm.clone();
-        shared_nmm.extend(zero.column_iter().map(|c| [c[0], c[1]]));
         let reading = MotionRow {
             t_s: row.t_s,
             moment_nmm: m.moment_nmm,
             noise_nmm2: m.own_nmm2.unwrap_or(pose_nmm2 * WHITE * WHITE),
-            shared_nmm,
+            shared_nmm: self.wire.shared_columns(m),
             free_nmm2: None,
             shared_displacement_mm: Vec::new(),
             moved_mm: motion.moved_mm,
@@ -118,52 +133,105 @@ impl KnownMotionStream {
             contact_segment: 0,
         };
         let found = stream.push(&reading, motion.piece, motion.push)?;
-        let flags = if found.disagrees { Flags::MOTION_DISAGREES } else { Flags::default() };
-        self.disagreeing += u64::from(found.disagrees);
-        // Without a noise of its own a row of a sliding contact has that from pose to pose.
+        // Without a noise of its own a row of a block has that from pose to pose.
         let reading = MotionRow { noise_nmm2: m.own_nmm2.unwrap_or(pose_nmm2), ..reading };
-        if let Some((place, regions)) = self.slide(&reading, &found)? {
-            self.slid += 1;
-            let flags = flags.with(Flags::SLIDING_ASSUMED);
-            return Ok(Contact {
-                estimate: ContactEstimate::of_place(&place),
-                flags,
-                regions,
-                on_object: true,
-                ..Contact::default()
-            });
+        let slid = self.weigh(&reading, &found, pose_nmm2)?;
+        let weights = self.touch.as_ref().map_or(self.prior, |t| t.weights);
+        let creep_sd = self.touch.as_ref().map_or(CREEP_SDS[1], |t| t.creep_sd);
+        let creeping = 1 + CREEP_SDS.iter().position(|sd| *sd == creep_sd).unwrap_or(0);
+        let ways = [(0, Regime::Fixed), (creeping, Regime::Creeping)];
+        let mut all: Vec<Alternative> = ways
+            .into_iter()
+            .filter_map(|(k, regime)| {
+                let (place, arc) = found.places.get(k)?.clone();
+                Some(Alternative { weight: weights.of(regime), place, arc })
+            })
+            .collect();
+        let weight = weights.of(Regime::Sliding);
+        all.extend(slid.map(|(place, arc)| Alternative { weight, place, arc }));
+        let slides = found.loaded && weight > 0.5;
+        let disagrees = found.disagrees || slides || (found.loaded && weights.no_motion() > 0.5);
+        self.disagreeing += u64::from(disagrees);
+        self.slid += u64::from(slides);
+        let mut flags = if disagrees { Flags::MOTION_DISAGREES } else { Flags::default() };
+        if slides {
+            flags = flags.with(Flags::SLIDING_ASSUMED);
         }
-        let estimate = found.place.as_ref().and_then(ContactEstimate::of_place);
-        let on_object = found.place.is_some_and(|p| p.contact >= TOUCHED);
-        Ok(Contact { estimate, flags, regions: found.regions, on_object, ..Contact::default() })
+        let Some((place, arc)) = averaged(&all) else { return Ok(Contact { flags, ..Contact::default() }) };
+        let (estimate, regions) = (ContactEstimate::of_place(&place), arc.regions());
+        Ok(Contact { estimate, flags, regions, on_object: place.contact >= TOUCHED, ..Contact::default() })
     }
 
-    /// The contact as one that slides, from where no fixed point explains it on; none before, and where no such contact explains it either.
-    fn slide(
+    /// Weighs the contact at hand where a block of its readings is complete; where it is as one that slides.
+    fn weigh(
         &mut self,
         row: &MotionRow,
         found: &StreamedContact,
-    ) -> Result<Option<(EpisodeContact, Vec<Region>)>, ContactError> {
-        if self.touch.as_ref().map(|t| t.0) != found.episode {
-            (self.touch, self.sliding) = (found.episode.map(|number| (number, Vec::new())), None);
-        }
-        let Some((_, before)) = self.touch.as_mut().filter(|_| found.loaded) else { return Ok(None) };
-        if self.sliding.is_none() && !found.disagrees {
-            // Of a long press the first rows say where a contact that slides later began.
-            if before.len() < MAX_BEFORE {
-                before.push(row.clone());
-            }
+        pose_nmm2: Matrix2<f64>,
+    ) -> Result<Option<(EpisodeContact, ArcDensity)>, ContactError> {
+        let Some((number, push)) = found.episode else {
+            (self.touch, self.free) = (None, (!found.loaded).then(|| row.clone()));
             return Ok(None);
-        }
-        let sliding = match &mut self.sliding {
-            Some(sliding) => sliding,
-            none => {
-                let wire = TouchedWire::new(&self.whisker, &MomentAxes::default())?;
-                none.insert(SlidingStream::new(wire, &std::mem::take(before)))
-            }
         };
-        let place = sliding.push(row);
-        Ok(place.filter(|_| sliding.explains()))
+        if self.touch.as_ref().is_none_or(|t| t.number != number) {
+            self.touch = Some(Touch {
+                number,
+                push,
+                before: self.free.take(),
+                rows: Vec::new(),
+                blocks: Blocks::default(),
+                sliding: None,
+                weights: self.prior.after(&[0.0, 0.0, OUT, OUT, OUT]),
+                creep_sd: CREEP_SDS[1],
+            });
+        }
+        let Some(touch) = self.touch.as_mut().filter(|_| found.loaded) else { return Ok(None) };
+        let complete = touch.blocks.push(row);
+        let slid = match &mut touch.sliding {
+            Some(sliding) => sliding.push(row),
+            None if touch.rows.len() < MAX_BEFORE => {
+                touch.rows.push(row.clone());
+                None
+            }
+            None => None,
+        };
+        let blocks = touch.blocks.means.len();
+        if !complete || !(MIN_BLOCKS..MAX_BLOCKS).contains(&blocks) {
+            return Ok(slid);
+        }
+        // The noise from pose to pose is one draw for a block.
+        let noisy = |row: &MotionRow| MotionRow { noise_nmm2: row.noise_nmm2 + pose_nmm2, ..row.clone() };
+        let means: Vec<MotionRow> = touch.blocks.means.at_middles().iter().map(noisy).collect();
+        let before = touch.before.as_ref().map(noisy);
+        let settings = Settings {
+            clock_sd_s: self.accuracy.clock_sd_s,
+            stiffness_sd: self.wire.stiffness_sd(),
+            ..Settings::default()
+        };
+        let field = &self.wire.field;
+        let of = |creep_sd: f64| {
+            let settings = Settings { creep_sd, ..settings };
+            point_evidence(field, &settings, touch.push, before.as_ref(), &means)
+        };
+        let creeping = match self.prior.of(Regime::Creeping) > 0.0 {
+            true => creeping_evidence(of),
+            false => (OUT, 0.0),
+        };
+        let back = reversed(&means);
+        let back_before = before.as_ref().map(|row| reversed(std::slice::from_ref(row)).remove(0));
+        let sliding = touch.sliding.as_ref().and_then(SlidingStream::ln_evidence);
+        touch.weights = self.prior.after(&[
+            of(0.0),
+            creeping.0,
+            sliding.filter(|(_, solved)| *solved == blocks).map_or(OUT, |s| s.0),
+            point_evidence(field, &settings, -touch.push, back_before.as_ref(), &back),
+            anywhere_evidence(&means),
+        ]);
+        touch.creep_sd = creeping.1;
+        if touch.sliding.is_none() && (found.disagrees || touch.weights.of(Regime::Fixed) < 0.5) {
+            touch.sliding = Some(SlidingStream::new(self.wire.touched()?, &std::mem::take(&mut touch.rows)));
+        }
+        Ok(slid.filter(|_| touch.weights.of(Regime::Sliding) > LEAST_WEIGHT))
     }
 
     fn messages(&self) -> Vec<Message> {
@@ -200,6 +268,8 @@ impl KnownMotionStream {
 
 /// Contacts of this probability and more are points of the object.
 const TOUCHED: f64 = 0.9;
+/// ln p(m) of a way that is not looked at.
+const OUT: f64 = f64::NEG_INFINITY;
 
 impl Estimator for KnownMotionStream {
     fn push(&mut self, row: &Reading) -> Result<Vec<Contact>, ContactError> {

@@ -1,54 +1,139 @@
-//! Contacts of a table along a known motion: its episodes one by one, each from all of its readings ([`estimate_contact`]); no network.
+//! Contacts of a table along a known motion: its episodes one by one, each from all of its readings, averaged over the ways in which a contact may
+//! move ([`crate::regimes`]); no network.
 
 use crate::ContactError;
+use crate::arc_posterior::ArcDensity;
+use crate::calibrated_wire::CalibratedWire;
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
-use crate::fixed_or_sliding::fixed_or_sliding;
+use crate::known_motion::contact_path::{ContactPath, loaded};
 use crate::known_motion::{
-    Episode, EpisodeEstimate, MomentField, MotionRow, Posterior, Region, Settings, episodes, estimate_contact,
+    Episode, EpisodeContact, EpisodeEstimate, MotionRow, Posterior, Settings, episodes, estimate_contact,
 };
-use crate::known_motion_stream::{CREEP_SD, MotionAccuracy};
+use crate::known_motion_stream::MotionAccuracy;
 use crate::reading::Reading;
-use crate::sliding::SlidingContact;
-use crate::sliding_episodes::sliding_contacts;
+use crate::regimes::{
+    ANY_OBJECT, Alternative, LEAST_WEIGHT, Regime, RegimeWeights, SWEPT_OBJECT, anywhere_evidence, averaged,
+    creeping_evidence, point_evidence,
+};
+use crate::sliding::{SlidingContact, TouchedWire, locate_sliding, reversed};
+use crate::static_arc::StaticArc;
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
 use nalgebra::Matrix2;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use wcal_core::WhiskerSpec;
 use wcal_core::stream::Flags;
 
 /// Noise from pose to pose is one draw for poses nearer than this, mm: rows of a dense record are not that many poses. An assumption.
 const SAME_POSE_MM: f64 = 1.0;
+/// What the freedom of a surface costs of the evidence of a block, at most.
+const SURFACE_COST: f64 = 4.0;
+/// Readings past the end of an episode, which show whether the load was lost at once.
+const PAST: usize = 2;
 
 /// A contact of the table.
 struct TableContact {
     /// Its readings among those whose motion is known: first, and one past the last.
     range: [usize; 2],
     span_s: [f64; 2],
-    found: EpisodeEstimate,
-    /// The contact as one that slides.
+    weights: RegimeWeights,
+    /// As one at a point that stays, that creeps, and that stays along the reversed motion; those that may be.
+    points: Vec<(Regime, EpisodeEstimate)>,
+    /// As one that slides.
     sliding: SlidingContact,
-    /// In a sweep over an object, where sliding is the normal case and nothing has to support it but the fit.
+    /// In a sweep over an object, where sliding is the normal case.
     over_object: bool,
 }
 
 impl TableContact {
-    /// As one that slides, where no fixed point explains the moments and the motion supports it.
-    fn slides(&self) -> Option<&SlidingContact> {
-        let supported = self.sliding.supported() || (self.over_object && self.sliding.sure());
-        (self.found.disagrees() && supported).then_some(&self.sliding)
+    /// The likelier of the points that stay and creep.
+    fn point(&self) -> &EpisodeEstimate {
+        let of = |a: &&(Regime, EpisodeEstimate)| self.weights.of(a.0);
+        let own = self.points.iter().filter(|p| p.0 != Regime::Reversed);
+        &own.max_by(|a, b| of(a).total_cmp(&of(b))).unwrap_or(&self.points[0]).1
     }
 
-    /// Whether a fixed point and a contact that slides both explain the moments.
-    fn undecided(&self) -> bool {
-        !self.found.disagrees() && self.sliding.sure()
+    fn slides(&self) -> bool {
+        self.weights.of(Regime::Sliding) > 0.5
+    }
+
+    /// Whether moments and motion do not belong together.
+    fn disagrees(&self) -> bool {
+        self.weights.no_motion() > 0.5 || (!self.slides() && self.point().disagrees())
+    }
+
+    /// Whether it slides, which is no doubt.
+    fn slides_over_object(&self) -> bool {
+        self.slides() && self.over_object && self.sliding.sure()
+    }
+
+    fn flags(&self) -> Flags {
+        match (self.slides(), self.over_object) {
+            (true, true) if self.sliding.sure() => Flags::default(),
+            (true, true) => Flags::SLIDING_ASSUMED,
+            (true, false) => Flags::SLIDING_ASSUMED.with(Flags::MOTION_DISAGREES),
+            (false, _) if self.disagrees() => Flags::MOTION_DISAGREES,
+            (false, _) => Flags::default(),
+        }
+    }
+
+    /// As one that slides at a reading: where the path has no place yet, that of the nearest reading goes with the object.
+    fn slid(&self, rows: &[MotionRow], k: usize) -> Option<(EpisodeContact, ArcDensity)> {
+        let places = &self.sliding.places;
+        let located = (0..places.len()).filter(|j| places[*j].place_mm.is_some());
+        let near = located.min_by_key(|j| j.abs_diff(k)).filter(|near| *near == k || !self.slides())?;
+        let turn = rows[k].turn * rows[near].turn.inverse();
+        let place = EpisodeContact {
+            place_mm: places[near].place_mm.map(|at| turn * (at - rows[near].moved_mm) + rows[k].moved_mm),
+            ..places[near].clone()
+        };
+        Some((place, self.sliding.arcs[near].clone()))
+    }
+
+    /// What is stated of a reading.
+    fn stated(
+        &self,
+        rows: &[MotionRow],
+        k: usize,
+        alone: Option<&mut StaticArc>,
+    ) -> Result<Contact, ContactError> {
+        let mut all = Vec::new();
+        for (regime, found) in &self.points {
+            let arc = found.posterior.as_ref().map(Posterior::arc).unwrap_or_default();
+            let weight = self.weights.of(*regime);
+            all.push(Alternative { weight, place: found.places[k].clone(), arc });
+        }
+        let weight = self.weights.of(Regime::Sliding);
+        if let Some((place, arc)) = self.slid(rows, k).filter(|_| weight > LEAST_WEIGHT) {
+            all.push(Alternative { weight, place, arc });
+        }
+        if let Some(alone) = alone.filter(|_| loaded(&rows[k])) {
+            let sd_nmm = [0, 1].map(|c| rows[k].noise_nmm2[(c, c)].sqrt());
+            let (estimate, arc) = alone.allowed(rows[k].moment_nmm, sd_nmm)?;
+            let place = EpisodeContact {
+                place_mm: Some(estimate.place_mm),
+                covariance_mm2: estimate.covariance_mm2,
+                contact: 1.0,
+                outlier: false,
+            };
+            all.push(Alternative { weight: self.weights.of(Regime::Anywhere), place, arc });
+        }
+        // Before its first place a contact that slides is not known to be anywhere.
+        if self.slides() && self.slid(rows, k).is_none() {
+            return Ok(Contact { flags: self.flags(), ..Contact::default() });
+        }
+        let (flags, on_object) = (self.flags(), !self.disagrees());
+        let Some((place, arc)) = averaged(&all) else {
+            return Ok(Contact { flags, on_object, ..Contact::default() });
+        };
+        let (estimate, regions) = (ContactEstimate::of_place(&place), arc.regions());
+        Ok(Contact { estimate, flags, regions, on_object, ..Contact::default() })
     }
 }
 
 /// The estimator of a table.
 pub struct KnownMotionTable {
-    field: MomentField,
-    whisker: WhiskerSpec,
+    wire: CalibratedWire,
+    touched: TouchedWire,
     accuracy: MotionAccuracy,
     /// Whether the table is of a sweep over an object: there a contact slides by its nature and is no doubt; elsewhere a wrong motion or
     /// calibration is as likely.
@@ -67,16 +152,18 @@ pub struct KnownMotionTable {
 }
 
 impl KnownMotionTable {
-    /// Of a whisker whose wire has the moments of `field`.
+    /// Of a whisker's wire.
+    ///
+    /// # Errors
+    /// Where it cannot be bent.
     pub fn new(
-        field: MomentField,
-        whisker: &WhiskerSpec,
+        wire: CalibratedWire,
         accuracy: MotionAccuracy,
         over_object: bool,
-    ) -> Self {
-        Self {
-            field,
-            whisker: whisker.clone(),
+    ) -> Result<Self, ContactError> {
+        Ok(Self {
+            touched: wire.touched()?,
+            wire,
             accuracy,
             over_object,
             rows: Vec::new(),
@@ -87,7 +174,7 @@ impl KnownMotionTable {
             without: Vec::new(),
             misfit_nmm2: Vec::new(),
             contacts: Vec::new(),
-        }
+        })
     }
 
     /// Noise of the readings, and the misfit of the calibration's law that they share.
@@ -107,60 +194,83 @@ impl KnownMotionTable {
             for (i, m) in [0, 1].into_iter().flat_map(|i| row.moment_nmm.map(|m| (i, m))) {
                 let mut column = [0.0; 2];
                 column[i] = (0.5 * misfit[i]).sqrt() * m / largest_nmm;
-                row.shared_nmm.push(column);
+                // The stiffness stays the last.
+                let at = row.shared_nmm.len() - usize::from(self.wire.stiffness_sd() > 0.0);
+                row.shared_nmm.insert(at, column);
             }
         }
     }
 
-    /// Contacts of the readings so far.
-    fn estimate_contact(&mut self) -> Result<(), ContactError> {
-        self.split_noise();
-        let ranges = episodes(&self.field, &mut self.rows, &self.pieces);
-        let settings =
-            Settings { clock_sd_s: self.accuracy.clock_sd_s, creep_sd: CREEP_SD, ..Settings::default() };
-        let one = |[from, to]: &[usize; 2]| {
-            let episode = Episode { rows: self.rows[*from..*to].to_vec(), push: None };
-            estimate_contact(&self.field, &episode, &settings)
+    /// The contact of an episode.
+    fn contact(&self, range: [usize; 2]) -> Result<TableContact, ContactError> {
+        let [from, to] = range;
+        let field = &self.wire.field;
+        let settings = |creep_sd| Settings {
+            clock_sd_s: self.accuracy.clock_sd_s,
+            creep_sd,
+            stiffness_sd: self.wire.stiffness_sd(),
+            ..Settings::default()
         };
-        let found = ranges.par_iter().map(one).collect::<Result<Vec<EpisodeEstimate>, ContactError>>()?;
-        let sliding = sliding_contacts(&self.whisker, &self.rows, &ranges)?;
-        let over_object = self.over_object;
-        let contact = |((range, found), sliding): (([usize; 2], EpisodeEstimate), SlidingContact)| {
-            let span_s = [self.rows[range[0]].t_s, self.rows[range[1] - 1].t_s];
-            TableContact { range, span_s, found, sliding, over_object }
+        let episode = |regime: Regime| {
+            let rows = &self.rows[from..to];
+            let rows = if regime == Regime::Reversed { reversed(rows) } else { rows.to_vec() };
+            Episode { rows, push: None }
         };
-        self.contacts = ranges.into_iter().zip(found).zip(sliding).map(contact).collect();
-        Ok(())
-    }
-
-    /// What is stated of the readings of a contact, by their numbers among all.
-    fn stated(&self, number: usize, contact: &TableContact) -> Vec<(usize, Contact)> {
-        let regions = contact.found.posterior.as_ref().map_or_else(Vec::new, Posterior::regions);
-        let [from, to] = contact.range;
-        let at = |k: usize| {
-            if contact.undecided() {
-                let both = fixed_or_sliding(k, &contact.found.places, &regions, &contact.sliding);
-                return Contact { number: Some(number as u64), ..both };
-            }
-            let (place, regions, flags): (_, &[Region], _) = match contact.slides() {
-                Some(s) if self.over_object => {
-                    let flags = if s.sure() { Flags::default() } else { Flags::SLIDING_ASSUMED };
-                    (&s.places[k], &s.regions[k], flags)
-                }
-                Some(s) => {
-                    (&s.places[k], &s.regions[k], Flags::SLIDING_ASSUMED.with(Flags::MOTION_DISAGREES))
-                }
-                None => {
-                    let disagrees = contact.found.disagrees();
-                    let flags = if disagrees { Flags::MOTION_DISAGREES } else { Flags::default() };
-                    (&contact.found.places[k], &regions, flags)
-                }
+        let mut sliding = locate_sliding(&self.touched, &self.rows[from..(to + PAST).min(self.rows.len())]);
+        sliding.places.truncate(to - from);
+        sliding.arcs.truncate(to - from);
+        let first = self.rows[from..to].iter().position(loaded).unwrap_or(0);
+        let before = first.checked_sub(1).map(|k| from + k);
+        let means = sliding.means.at_middles();
+        let point = |regime: Regime, creep_sd: f64| {
+            let (episode, settings) = (episode(regime), settings(creep_sd));
+            let push = ContactPath::new(field, &episode)?.push;
+            let mirrored = |rows: &[MotionRow]| match regime {
+                Regime::Reversed => reversed(rows),
+                _ => rows.to_vec(),
             };
-            let on_object = flags != Flags::MOTION_DISAGREES;
-            let (estimate, regions) = (ContactEstimate::of_place(place), regions.to_vec());
-            Contact { estimate, flags, regions, several: None, number: Some(number as u64), on_object }
+            let before = before.map(|k| mirrored(&self.rows[k..=k]).remove(0));
+            Some(point_evidence(field, &settings, push, before.as_ref(), &mirrored(&means)))
         };
-        (0..to - from).map(|k| (self.index[from + k], at(k))).collect()
+        let point = |regime, creep_sd| point(regime, creep_sd).unwrap_or(f64::NEG_INFINITY);
+        let [slides, slides_reversed] = sliding.ln_evidence;
+        let fixed = point(Regime::Fixed, 0.0);
+        let (creeping, creep_sd) = creeping_evidence(|sd| point(Regime::Creeping, sd));
+        // A point is a small surface: along the reversed motion it explains no more than one, but for what the surface's freedom costs.
+        let most = slides_reversed + SURFACE_COST * sliding.means.len() as f64;
+        let still = match slides.max(fixed).max(creeping) > most {
+            true => f64::NEG_INFINITY,
+            false => point(Regime::Reversed, 0.0),
+        };
+        let prior = if self.over_object { SWEPT_OBJECT } else { ANY_OBJECT };
+        let evidence = [fixed, creeping, slides, still.max(slides_reversed), anywhere_evidence(&means)];
+        let weights = match (prior.after(&evidence), sliding.sure()) {
+            (weights, true) => weights.moving_alike(),
+            (weights, false) => weights,
+        };
+        let at_reversed_point = still >= slides_reversed;
+        let likelier = match weights.of(Regime::Fixed) >= weights.of(Regime::Creeping) {
+            true => Regime::Fixed,
+            false => Regime::Creeping,
+        };
+        let may_be = |regime: &Regime| {
+            let is_point = *regime != Regime::Reversed || at_reversed_point;
+            *regime == likelier || (is_point && weights.of(*regime) > LEAST_WEIGHT)
+        };
+        let of = |regime: Regime| {
+            let creep_sd = if regime == Regime::Creeping { creep_sd } else { 0.0 };
+            let (episode, settings) = (episode(regime), settings(creep_sd));
+            Ok((regime, estimate_contact(field, &episode, &settings)?))
+        };
+        let all = [Regime::Fixed, Regime::Creeping, Regime::Reversed].into_iter().filter(may_be);
+        Ok(TableContact {
+            range,
+            span_s: [self.rows[from].t_s, self.rows[to - 1].t_s],
+            weights,
+            points: all.map(of).collect::<Result<_, ContactError>>()?,
+            sliding,
+            over_object: self.over_object,
+        })
     }
 
     fn messages(&self) -> Vec<Message> {
@@ -174,43 +284,30 @@ impl KnownMotionTable {
                 why.join(", ")
             ));
         }
-        let numbered = || self.contacts.iter().enumerate();
-        let assumed = numbered().filter(|_| !self.over_object);
-        all.extend(assumed.filter_map(|(n, c)| Some((n, c.slides()?))).map(|(n, s)| {
-            format!(
-                "contact {n}: no fixed point of the object explains the moments, a contact that slides does (log likelihood ratio {:.0} to the \
-                 reversed motion), as it does where motion or calibration are wrong; marked sliding-assumed in status",
-                s.evidence - s.reversed_evidence
-            )
-        }));
-        all.extend(numbered().filter(|(_, c)| c.undecided()).map(|(n, _)| {
-            format!(
-                "contact {n}: a fixed point of the object and a contact that slides both explain the moments; places and regions are those of both"
-            )
-        }));
-        let slips = numbered().filter_map(|(n, c)| Some((n, c.range[0], c.slides()?)));
-        all.extend(slips.flat_map(|(n, from, s)| s.slips.iter().map(move |k| (n, from + k))).map(
-            |(n, k)| {
-                format!(
-                    "contact {n}: it slips to another place of the object before {:.2} s",
-                    self.rows[k].t_s
-                )
-            },
-        ));
-        let unsure = numbered().filter(|(_, c)| self.over_object && c.slides().is_some_and(|s| !s.sure()));
-        all.extend(unsure.map(|(n, _)| {
-            format!(
-                "contact {n}: the fit of a sliding contact leaves more than noise, or the motion turns back: the contact may be lost, and its \
-                 regions are wide; marked sliding-assumed in status"
-            )
-        }));
-        let fixed = numbered().filter(|(_, c)| c.slides().is_none());
-        all.extend(fixed.filter_map(|(n, c)| {
-            Some(format!(
-                "contact {n}: {}; marked motion-disagrees in status",
-                c.found.innovations.sentence()?
-            ))
-        }));
+        for (n, c) in self.contacts.iter().enumerate() {
+            let said = match (c.weights.certain(), self.over_object) {
+                (None, _) => "it is not told whether its point of the object stays, creeps or slides; places and regions are those of all".to_owned(),
+                (Some(Regime::Sliding), false) => "no fixed point of the object explains the moments, a contact that slides does, as it does where \
+                     motion or calibration are wrong; marked sliding-assumed in status"
+                    .to_owned(),
+                (Some(Regime::Sliding), true) if !c.sliding.sure() => "the fit of a sliding contact leaves more than noise, or the motion turns \
+                     back: the contact may be lost, and its regions are wide; marked sliding-assumed in status"
+                    .to_owned(),
+                (Some(Regime::Reversed), _) => "moments and motion disagree: with its sign reversed the motion explains them; marked motion-disagrees in status".to_owned(),
+                _ if !c.slides() && c.disagrees() => match c.point().innovations.sentence() {
+                    Some(said) => format!("{said}; marked motion-disagrees in status"),
+                    None => "the motion says nothing of the moments; marked motion-disagrees in status".to_owned(),
+                },
+                _ => continue,
+            };
+            all.push(format!("contact {n}: {said}"));
+        }
+        for (n, c) in self.contacts.iter().enumerate().filter(|(_, c)| c.slides()) {
+            all.extend(c.sliding.slips.iter().map(|k| {
+                let t_s = self.rows[c.range[0] + k].t_s;
+                format!("contact {n}: it slips to another place of the object before {t_s:.2} s")
+            }));
+        }
         if self.contacts.is_empty() {
             all.push(
                 "no contact: no reading is loaded beyond its noise where the motion is known".to_owned(),
@@ -229,12 +326,6 @@ impl Estimator for KnownMotionTable {
             self.without.push(number);
         }
         let (Some(m), Ok(motion)) = (&reading.moments, &reading.motion) else { return Ok(Vec::new()) };
-        let columns = |nmm2: &Matrix2<f64>| -> Vec<[f64; 2]> {
-            let root = nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l());
-            root.column_iter().map(|c| [c[0], c[1]]).collect()
-        };
-        let mut shared_nmm = m.shared_nmm.clone();
-        shared_nmm.extend(columns(&m.zero_nmm2));
         self.misfit_nmm2.push(m.own_nmm2.map(|own| misfit(&m.pose_nmm2, &own)));
         self.rows.push(MotionRow {
             t_s: reading.t_s,
@@ -242,7 +333,7 @@ impl Estimator for KnownMotionTable {
             noise_nmm2: m.own_nmm2.unwrap_or(m.pose_nmm2),
             free_nmm2: m.own_nmm2.map(|own| own + m.zero_nmm2),
             shared_displacement_mm: Vec::new(),
-            shared_nmm,
+            shared_nmm: self.wire.shared_columns(m),
             moved_mm: motion.moved_mm,
             turn: motion.turn,
             velocity_mm_s: motion.velocity_mm_s,
@@ -256,11 +347,19 @@ impl Estimator for KnownMotionTable {
     }
 
     fn finish(&mut self) -> Result<Vec<Contact>, ContactError> {
-        self.estimate_contact()?;
+        self.split_noise();
+        let ranges = episodes(&self.wire.field, &mut self.rows, &self.pieces);
+        let contacts = ranges.into_par_iter().map(|range| self.contact(range));
+        self.contacts = contacts.collect::<Result<_, ContactError>>()?;
         let mut all = vec![Contact::default(); self.readings];
+        let mut alone = StaticArc::new(self.wire.clone());
         for (n, contact) in self.contacts.iter().enumerate() {
-            for (k, stated) in self.stated(n, contact) {
-                all[k] = stated;
+            let [from, to] = contact.range;
+            let anywhere = contact.weights.of(Regime::Anywhere) > LEAST_WEIGHT;
+            for k in 0..to - from {
+                let alone = anywhere.then_some(&mut alone);
+                let stated = contact.stated(&self.rows[from..to], k, alone)?;
+                all[self.index[from + k]] = Contact { number: Some(n as u64), ..stated };
             }
         }
         for k in &self.without {
@@ -271,13 +370,8 @@ impl Estimator for KnownMotionTable {
 
     fn findings(&self) -> Findings {
         let contact = |c: &TableContact| {
-            ContactDocument::of_table(
-                &c.found,
-                c.span_s,
-                c.range[1] - c.range[0],
-                &c.sliding,
-                (c.slides().is_some(), c.undecided()),
-            )
+            let readings = c.range[1] - c.range[0];
+            ContactDocument::of_table(c.point(), &c.weights, &c.sliding, c.span_s, readings)
         };
         let document = EstimatorDocument {
             method: Some(Method::KnownMotion),
@@ -286,9 +380,8 @@ impl Estimator for KnownMotionTable {
             lost_rows: Some(self.lost.clone()),
             ..EstimatorDocument::default()
         };
-        // A sweep over an object slides by its nature.
-        let explained = |c: &TableContact| self.over_object && c.slides().is_some_and(SlidingContact::sure);
-        let doubt = self.contacts.iter().any(|c| c.found.disagrees() && !explained(c));
+        let doubtful = |c: &TableContact| !c.slides_over_object() && (c.slides() || c.disagrees());
+        let doubt = self.contacts.iter().any(doubtful);
         let lost = !self.lost.is_empty();
         Findings { document, messages: self.messages(), lost, doubt, ..Findings::default() }
     }

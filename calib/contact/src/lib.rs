@@ -10,10 +10,11 @@
 //! Sources and sinks speak in the base frame of the session, estimators in that of the wire ([`frame`]): lengths in mm, moments in N mm, time in s.
 
 pub mod arc;
+pub mod arc_posterior;
+pub mod calibrated_wire;
 pub mod contact_history;
 mod error;
 pub mod estimator;
-mod fixed_or_sliding;
 pub mod frame;
 pub mod groove_comparison;
 pub mod groove_table;
@@ -25,9 +26,9 @@ pub mod mesh_score;
 pub mod motion_table;
 pub mod network;
 pub mod reading;
+pub mod regimes;
 pub mod session_groove;
 pub mod sliding;
-pub mod sliding_episodes;
 pub mod static_arc;
 pub mod stream_motion;
 pub mod stream_track;

@@ -9,7 +9,7 @@
 //! | any other, or not known | `motion-assumed` | network's | of the mixture of network and moments alone (`arc::any_motion`) |
 
 use crate::ContactError;
-use crate::arc::{any_motion, arclength_regions};
+use crate::arc::{any_motion, arc_density};
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
 use crate::reading::{Moments, Reading};
 use crate::track_document::{EstimatorDocument, SeveralContacts};
@@ -91,7 +91,7 @@ impl Estimator for NetworkEstimator<'_> {
             answer = any_motion(&self.tracker.inverse, moment_nmm, moments.sd_nmm, answer);
             flags = Flags::MOTION_ASSUMED;
         }
-        let regions = arclength_regions(&self.tracker.inverse.nodes, &answer.weights);
+        let regions = arc_density(&self.tracker.inverse.nodes, &answer.weights).regions();
         let on_object = answer.contact >= TOUCHED;
         let estimate = Some(ContactEstimate::from(&answer));
         Ok(vec![Contact { estimate, flags, regions, several, number: None, on_object }])

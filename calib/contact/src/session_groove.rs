@@ -4,12 +4,14 @@
 mod session_groove_test;
 
 use crate::ContactError;
+use crate::arc_posterior::Region;
+use crate::calibrated_wire::moment_field;
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
 use crate::groove_comparison::{Compared, coverage_rejected, groove_sentence, groove_tracking};
 use crate::known_motion::contact_path::ContactPath;
 use crate::known_motion::{
-    CorrelatedNoise, Episode, EpisodeContact, EpisodeEstimate, Friction, MomentField, MotionRow, Region,
-    Settings, bound_mm, estimate_contact,
+    CorrelatedNoise, Episode, EpisodeContact, EpisodeEstimate, MomentField, MotionRow, Settings, bound_mm,
+    estimate_contact,
 };
 use crate::reading::{Moments, Reading};
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
@@ -87,15 +89,6 @@ pub struct TrackedSession {
     settings: Settings,
     /// Trajectories in the session's order.
     pub trajectories: Vec<TrackedTrajectory>,
-}
-
-/// The moments of a wire with its accepted mechanics.
-pub fn moment_field(wire: &AcceptedWire, axes: &MomentAxes) -> MomentField {
-    let friction = match wire.friction {
-        mu if mu > 0.0 => Friction { coefficient: mu, moving_share: wire.moving_share },
-        _ => Friction::NONE,
-    };
-    MomentField::new(&wire.rod, axes, friction)
 }
 
 /// The frame of a session's wire; the base's own where the clamp of an accepted wire yields, which is given about the base's axes.

@@ -1,24 +1,24 @@
 //! Readings of whose motion nothing is known: an arc of the wire for every loaded one ([`crate::arc`]), each reading by itself.
 
 use crate::ContactError;
-use crate::arc::{arclength_regions, static_arc};
+use crate::arc::{arc_density, static_arc};
+use crate::arc_posterior::ArcDensity;
+use crate::calibrated_wire::CalibratedWire;
 use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
 use crate::known_motion::MotionUnknown;
 use crate::reading::{Moments, Reading};
 use crate::track_document::{EstimatorDocument, Method, POINT_OF_OBJECT};
 use std::collections::BTreeMap;
-use wcal_core::WhiskerSpec;
 use wcal_core::stream::Flags;
+use wcal_track::StaticInverse;
 use wcal_track::network::Prediction;
-use wcal_track::{InverseGrid, StaticInverse};
 
 /// A wire that is loaded by so many standard deviations touches something.
 const LOADED_SDS: f64 = 4.0;
 
 /// The estimator of moments alone.
-#[derive(Debug)]
 pub struct StaticArc {
-    whisker: WhiskerSpec,
+    wire: CalibratedWire,
     /// Made at the first loaded reading.
     inverse: Option<StaticInverse>,
     /// Loaded readings, by why their motion is not known.
@@ -28,8 +28,25 @@ pub struct StaticArc {
 
 impl StaticArc {
     /// Of a wire.
-    pub fn new(whisker: &WhiskerSpec) -> Self {
-        Self { whisker: whisker.clone(), inverse: None, lost: BTreeMap::new(), readings: 0 }
+    pub fn new(wire: CalibratedWire) -> Self {
+        Self { wire, inverse: None, lost: BTreeMap::new(), readings: 0 }
+    }
+
+    /// What the moments of a loaded reading allow, with standard deviations of these sizes, N mm.
+    ///
+    /// # Errors
+    /// Where the wire cannot be bent.
+    pub fn allowed(
+        &mut self,
+        moment_nmm: [f64; 2],
+        sd_nmm: [f64; 2],
+    ) -> Result<(ContactEstimate, ArcDensity), ContactError> {
+        let inverse = match &mut self.inverse {
+            Some(inverse) => inverse,
+            none => none.insert(self.wire.static_inverse()?),
+        };
+        let answer = static_arc(inverse, moment_nmm, sd_nmm, &Prediction::unknown());
+        Ok((ContactEstimate::from(&answer), arc_density(&inverse.nodes, &answer.weights)))
     }
 
     /// The arc of a reading that is loaded beyond its noise.
@@ -45,13 +62,8 @@ impl StaticArc {
             return Ok(Contact::default());
         }
         *self.lost.entry(why.name()).or_default() += 1;
-        if self.inverse.is_none() {
-            self.inverse = Some(StaticInverse::new(&self.whisker, InverseGrid::coarse())?);
-        }
-        let Some(inverse) = &self.inverse else { return Ok(Contact::default()) };
-        let answer = static_arc(inverse, m.moment_nmm, m.sd_nmm, &Prediction::unknown());
-        let regions = arclength_regions(&inverse.nodes, &answer.weights);
-        let estimate = Some(ContactEstimate::from(&answer));
+        let (estimate, arc) = self.allowed(m.moment_nmm, m.sd_nmm)?;
+        let (estimate, regions) = (Some(estimate), arc.regions());
         Ok(Contact { estimate, flags: Flags::MOTION_LOST, regions, ..Contact::default() })
     }
 

@@ -1,12 +1,12 @@
 //! The tracks of a stream: scans in, rows out, whisker by whisker.
 
 use crate::ContactError;
+use crate::calibrated_wire::CalibratedWire;
 use crate::estimator::{Estimator, Message};
 use crate::known_groove::{KnownGroove, KnownPlace};
-use crate::known_motion::{MomentField, MotionLog};
+use crate::known_motion::MotionLog;
 use crate::known_motion_stream::{KnownMotionStream, MotionAccuracy};
 use crate::reading::{Moments, Reading};
-use crate::session_groove::moment_field;
 use crate::stream_motion::{StreamMotion, kernel};
 use crate::track_document::{
     FilterDocument, StreamDocument, StreamMotionDocument, StreamedWhisker, TimeDocument,
@@ -15,7 +15,6 @@ use crate::track_table::{TrackFiles, TrackRow};
 use crate::trust::WhiskerModel;
 use crate::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
 use nalgebra::{Matrix2, Vector3};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 use wcal_acquisition::clock_watch::{ClockFault, ClockWatch};
 use wcal_acquisition::clocks::ClockPair;
@@ -24,7 +23,6 @@ use wcal_acquisition::rig::Rig;
 use wcal_acquisition::whisker_reader::WhiskerReader;
 use wcal_core::WhiskerSpec;
 use wcal_core::device::FbgReading;
-use wcal_core::observation::MomentAxes;
 use wcal_core::stream::MomentSpread;
 use wcal_track::stream::{Row, SignalChain, SignalChainSettings};
 
@@ -345,13 +343,15 @@ impl<'a> Whisker<'a> {
             match l.estimator(stream.vouched) {
                 Some(network) => (Box::new(network), Vector3::zeros(), Vector3::zeros()),
                 None => {
-                    let (field, offset_mm) = field(l, &whisker)?;
-                    let middle_mm = frame.rotation().inverse() * field.free(0.5 * field.length_mm()).0;
+                    let (accepted, changed) =
+                        l.calibration()?.wire(&whisker).map_err(ContactError::in_file(&l.place))?;
+                    let wire = CalibratedWire::new(&accepted, &changed, whisker.diameter_mm);
+                    let middle_mm = frame.rotation().inverse() * wire.middle_mm();
                     // The prefix is long enough; a reading that comes sooner solves what it needs itself.
-                    let filled = Arc::clone(&field);
-                    std::thread::spawn(move || filled.fill(REACH_MM));
-                    let own = KnownMotionStream::new(field, &whisker, stream.accuracy, of_groove);
-                    (Box::new(own), middle_mm, offset_mm)
+                    let filled = wire.clone();
+                    std::thread::spawn(move || filled.field.fill(REACH_MM));
+                    let own = KnownMotionStream::new(wire, stream.accuracy, of_groove);
+                    (Box::new(own), middle_mm, accepted.offset_mm)
                 }
             };
         let facts = WhiskerFacts {
@@ -412,17 +412,6 @@ impl<'a> Whisker<'a> {
             rows,
         }
     }
-}
-
-/// The moments of a whisker's wire as its calibration has it, and what that adds to the declared place of a groove, mm.
-fn field(
-    l: &WhiskerModel<'_>,
-    whisker: &WhiskerSpec,
-) -> Result<(Arc<MomentField>, Vector3<f64>), ContactError> {
-    let axes = MomentAxes::default();
-    let (wire, changed) = l.calibration()?.wire(whisker).map_err(ContactError::in_file(&l.place))?;
-    let changed = changed.iter().map(|w| moment_field(w, &axes)).collect();
-    Ok((Arc::new(moment_field(&wire, &axes).with_changed(changed)), wire.offset_mm))
 }
 
 /// What was lost, for people; none when nothing was.

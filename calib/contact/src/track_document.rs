@@ -1,8 +1,10 @@
 //! `track.json`: what a track is made of and what was found, as a program reads it.
 
+use crate::arc_posterior::Region;
 use crate::known_motion::contact_stream::FinishedEpisode;
-use crate::known_motion::{EpisodeEstimate, Innovations, Posterior, Region};
+use crate::known_motion::{EpisodeEstimate, Innovations, Posterior};
 use crate::mesh_score::MeshScore;
+use crate::regimes::{LEAST_WEIGHT, REGIMES, Regime, RegimeWeights};
 use crate::sliding::SlidingContact;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -174,10 +176,13 @@ pub struct ContactDocument {
     /// Last reading, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub to_s: Option<f64>,
-    /// A fixed point of the object, one that slides over it, or either: both explain the moments.
+    /// How the contact moves on the object, where one way is more probable than all others together.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("enum" = ["fixed", "sliding", "fixed-or-sliding"]))]
+    #[schemars(extend("enum" = ["fixed", "creeping", "sliding", "reversed", "anywhere", "undecided"]))]
     pub contact: Option<&'static str>,
+    /// Probability of each way.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weights: Option<BTreeMap<&'static str, f64>>,
     /// How well the motion predicts a sliding contact.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sliding: Option<Option<SlidingDocument>>,
@@ -197,6 +202,7 @@ impl ContactDocument {
             from_s: None,
             to_s: None,
             contact: None,
+            weights: None,
             sliding: None,
         }
     }
@@ -207,32 +213,30 @@ impl ContactDocument {
         Self { trajectory: Some(id), regions, ..Self::new(&found.innovations, readings) }
     }
 
-    /// Of a table's contact; as one that slides, where the motion supports it.
+    /// Of a table's contact, and as the likeliest one at a point.
     pub fn of_table(
-        found: &EpisodeEstimate,
+        point: &EpisodeEstimate,
+        weights: &RegimeWeights,
+        sliding: &SlidingContact,
         [from_s, to_s]: [f64; 2],
         readings: usize,
-        sliding: &SlidingContact,
-        (slides, undecided): (bool, bool),
     ) -> Self {
-        let fixed = Self::new(&found.innovations, readings);
-        let evidence = |s: &SlidingContact| SlidingDocument {
-            log_evidence: s.evidence,
-            reversed_log_evidence: s.reversed_evidence,
-            predicted: s.predicted,
-        };
+        let own = Self::new(&point.innovations, readings);
+        let at_a_point = weights.at_a_point() > 1.0 - LEAST_WEIGHT;
+        let may_slide = weights.of(Regime::Sliding) > LEAST_WEIGHT;
         Self {
-            regions: found.posterior.as_ref().map(Posterior::regions).filter(|_| !slides && !undecided),
+            regions: point.posterior.as_ref().map(Posterior::regions).filter(|_| at_a_point),
             from_s: Some(from_s),
             to_s: Some(to_s),
-            disagreement: fixed.disagreement.filter(|_| !slides),
-            contact: Some(match (slides, undecided) {
-                (true, _) => "sliding",
-                (false, true) => "fixed-or-sliding",
-                (false, false) => "fixed",
-            }),
-            sliding: Some((slides || undecided).then(|| evidence(sliding))),
-            ..fixed
+            disagreement: own.disagreement.filter(|_| weights.of(Regime::Sliding) <= 0.5),
+            contact: Some(weights.certain().map_or("undecided", Regime::name)),
+            weights: Some(REGIMES.iter().map(|r| (r.name(), weights.of(*r))).collect()),
+            sliding: Some(may_slide.then_some(SlidingDocument {
+                log_evidence: sliding.evidence,
+                reversed_log_evidence: sliding.reversed_evidence,
+                predicted: sliding.predicted,
+            })),
+            ..own
         }
     }
 

@@ -1,8 +1,8 @@
 //! `track.csv`.
 
 use crate::ContactError;
+use crate::arc_posterior::Region;
 use crate::estimator::ContactEstimate;
-use crate::known_motion::Region;
 use crate::track_document::TrackDocument;
 use nalgebra::{Matrix3, Vector3};
 use std::fmt::Write as _;

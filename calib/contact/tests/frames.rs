@@ -4,7 +4,7 @@
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::sync::Arc;
+use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::Estimator;
 use wcal_contact::known_motion::{Friction, MomentField, MotionUnknown};
 use wcal_contact::known_motion_stream::{KnownMotionStream, MotionAccuracy};
@@ -87,10 +87,11 @@ impl Session {
     /// Rows of an estimator in `frame`, which is the session's unless somebody forgets it.
     fn rows(&self, which: usize, frame: WireFrame) -> Vec<TrackRow> {
         let whisker = frame.whisker(&self.whisker);
+        let wire = CalibratedWire::of_rod(Rod::new(&whisker, 0.5).unwrap(), whisker.diameter_mm);
         let estimator: Box<dyn Estimator> = match which {
-            0 => Box::new(KnownMotionTable::new(field(&whisker), &whisker, ACCURACY, false)),
-            1 => Box::new(KnownMotionStream::new(Arc::new(field(&whisker)), &whisker, ACCURACY, false)),
-            _ => Box::new(StaticArc::new(&whisker)),
+            0 => Box::new(KnownMotionTable::new(wire, ACCURACY, false).unwrap()),
+            1 => Box::new(KnownMotionStream::new(wire, ACCURACY, false)),
+            _ => Box::new(StaticArc::new(wire)),
         };
         let mut track = WhiskerTrack::new(WhiskerFacts::default(), (frame, estimator), 0.0, true);
         let mut rows = Vec::new();

@@ -204,7 +204,7 @@ fn a_stream_finds_its_episodes_and_doubts_a_reversed_motion() {
     let wire = Arc::new(field(Friction::NONE));
     let (mut named, mut doubted, mut plain, mut all) = (0, 0, 0, 0);
     for seed in 0..12 {
-        let stream = || ContactStream::new(Arc::clone(&wire), settings(None));
+        let stream = || ContactStream::new(Arc::clone(&wire), vec![settings(None)]);
         let Some(press) = press(&wire, seed, ALL) else { continue };
         all += 1;
         let (episodes, off) = streamed(&mut stream(), &press, 1.0, None);

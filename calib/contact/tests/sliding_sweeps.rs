@@ -4,13 +4,14 @@
 
 use nalgebra::{Matrix2, Rotation3, Vector2, Vector3};
 use rayon::prelude::*;
-use std::sync::{Arc, LazyLock};
+use std::sync::LazyLock;
+use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::{Contact, Estimator};
-use wcal_contact::known_motion::{Friction, MomentField, MotionRow};
+use wcal_contact::known_motion::MotionRow;
 use wcal_contact::known_motion_stream::{KnownMotionStream, MotionAccuracy};
 use wcal_contact::reading::{Moments, Reading, RowMotion};
 use wcal_contact::sliding::{SlidingContact, TouchedWire, locate_sliding};
-use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
+use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_core::stream::Flags;
 use wcal_plant::sweep::{SweepCase, SweepReading};
 
@@ -67,7 +68,12 @@ fn rows(case: &SweepCase, way: f64) -> Vec<MotionRow> {
 }
 
 fn wire(case: &SweepCase) -> TouchedWire {
-    TouchedWire::new(&whisker(case), &MomentAxes::default()).unwrap()
+    calibrated(case).touched().unwrap()
+}
+
+fn calibrated(case: &SweepCase) -> CalibratedWire {
+    let whisker = whisker(case);
+    CalibratedWire::of_rod(wcal_rod::Rod::new(&whisker, MESH_MM).unwrap(), whisker.diameter_mm)
 }
 
 fn whisker(case: &SweepCase) -> WhiskerSpec {
@@ -115,13 +121,14 @@ fn readings(rows: &[MotionRow]) -> impl Iterator<Item = Reading> + '_ {
 /// Errors in space (mm), whether the region along the wire holds the truth shifted by `shift_mm`, and whether the ellipsoid in space holds the
 /// truth; one a reading in contact.
 fn judged(case: &SweepCase, found: &SlidingContact, shift_mm: f64) -> Vec<(f64, bool, bool)> {
-    let all = case.readings.iter().zip(found.places.iter().zip(&found.regions));
-    all.filter_map(|(reading, (place, regions))| {
+    let all = case.readings.iter().zip(found.places.iter().zip(&found.arcs));
+    all.filter_map(|(reading, (place, arc))| {
         let (truth, at) = (reading.touch?, place.place_mm?);
         let off = at - truth.axis_mm;
         let inside = off.dot(&(place.covariance_mm2.try_inverse()? * off)) < 7.815;
         let s = truth.arclength_mm - shift_mm;
-        let held = regions.iter().any(|r| (r.from_mm - ROUNDING_MM..=r.to_mm + ROUNDING_MM).contains(&s));
+        let held =
+            arc.regions().iter().any(|r| (r.from_mm - ROUNDING_MM..=r.to_mm + ROUNDING_MM).contains(&s));
         Some((off.norm(), held, inside))
     })
     .collect()
@@ -215,11 +222,8 @@ fn a_wrong_motion_is_worse_than_the_true_one() {
 fn a_stream_follows_a_contact_that_slides() {
     // Errors of the readings of a sweep that are followed as sliding, along the motion times a factor.
     let slid = |case: &SweepCase, way: f64| {
-        let whisker = whisker(case);
         let stream = {
-            let rod = wcal_rod::Rod::new(&whisker, MESH_MM).unwrap();
-            let field = Arc::new(MomentField::new(&rod, &MomentAxes::default(), Friction::NONE));
-            let mut stream = KnownMotionStream::new(field, &whisker, ACCURACY, false);
+            let mut stream = KnownMotionStream::new(calibrated(case), ACCURACY, false);
             let push = |r: Reading| stream.push(&r).unwrap().remove(0);
             readings(&rows(case, way)).map(push).collect::<Vec<Contact>>()
         };

@@ -9,6 +9,7 @@ use nalgebra::{Matrix2, Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
+use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::{Contact, Estimator};
 use wcal_contact::known_motion::{Episode, Friction, MomentField, MotionRow, Settings, estimate_contact};
 use wcal_contact::known_motion_stream::MotionAccuracy;
@@ -61,7 +62,9 @@ fn inside(off: Vector3<f64>, covariance_mm2: &nalgebra::Matrix3<f64>) -> (bool, 
 /// By reading in contact what the table's estimator states, and of the last reading alone what it states where the point cannot creep.
 fn states(field: &MomentField, press: &[Pressed]) -> (Vec<(bool, f64)>, bool) {
     let accuracy = MotionAccuracy { moved_sd_mm: 0.002, clock_sd_s: 0.0 };
-    let mut table = KnownMotionTable::new(self::field(), &WhiskerSpec::nominal(), accuracy, false);
+    let rod = Rod::new(&WhiskerSpec::nominal(), 4.0).unwrap();
+    let wire = CalibratedWire::of_rod(rod, WhiskerSpec::nominal().diameter_mm);
+    let mut table = KnownMotionTable::new(wire, accuracy, false).unwrap();
     for (k, (depth, _, moment_nmm)) in press.iter().enumerate() {
         let moments = Moments {
             moment_nmm: *moment_nmm,

@@ -4,7 +4,7 @@
 //! centres; the clamp's spring spans half a link, which makes the scheme second order at the root.
 //! Source: M. Bergou et al., "Discrete Elastic Rods", ACM TOG 27 (2008), with rigid links for the inextensible wire.
 
-use crate::{RodError, Section, Shape};
+use crate::{Rod, RodError, Section, Shape, Softening};
 use nalgebra::{Matrix3, Vector3};
 
 /// Links of equal length from a clamp.
@@ -17,6 +17,9 @@ pub struct DiscreteRod {
     /// Rest turn (rad, frame of the link beyond) and stiffness (N mm/rad) of every joint, the clamp's first.
     joints: Vec<(Vector3<f64>, Vector3<f64>)>,
     clamp: Matrix3<f64>,
+    softening: Option<Softening>,
+    /// Turn of the clamp by the moment that it carries, base axes, rad/(N mm).
+    pub(crate) compliance: Vector3<f64>,
 }
 
 impl DiscreteRod {
@@ -43,7 +46,33 @@ impl DiscreteRod {
                 (turn(shape, from, to), stiffness)
             })
             .collect();
-        Ok(Self { link_mm, radius_mm: diameter_mm / 2.0, joints, clamp: shape.root })
+        let (radius_mm, clamp) = (diameter_mm / 2.0, shape.root);
+        Ok(Self {
+            link_mm,
+            radius_mm,
+            joints,
+            clamp,
+            softening: section.softening,
+            compliance: Vector3::zeros(),
+        })
+    }
+
+    /// Of a rod with its section's law and its clamp's compliance; without its weight.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn of_rod(rod: &Rod, diameter_mm: f64, links: usize) -> Result<Self, RodError> {
+        let compliance = rod.compliance_axes * rod.compliance_rad_per_nmm;
+        Ok(Self { compliance, ..Self::new(&rod.section, &rod.shape, diameter_mm, links)? })
+    }
+
+    /// Turn of a joint from its rest, rad, where a linear one turns by `linear`: past the onset bending is softer.
+    pub(crate) fn softened(&self, joint: usize, linear: Vector3<f64>) -> Vector3<f64> {
+        let Some(softening) = self.softening else { return linear };
+        let span_mm = if joint == 0 { self.link_mm / 2.0 } else { self.link_mm };
+        let bend = linear.y.hypot(linear.z) / (span_mm * softening.onset_per_mm());
+        let gain = if bend > 1.0 { softening.relative_curvature(bend).0 / bend } else { 1.0 };
+        Vector3::new(linear.x, gain * linear.y, gain * linear.z)
     }
 
     /// Number of links.

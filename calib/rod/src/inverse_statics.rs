@@ -2,7 +2,8 @@
 //!
 //! In the frame of the link that is loaded, with the force f at c and nothing beyond: for j from that link to the root
 //! m_j = (c - x_j) x f (moment at joint j), w_j = w0_j + K_j^-1 J_r(w_j)^T R_j^T m_j, R_(j-1) = R_j exp(-w_j), x_(j-1) = x_j - h R_(j-1) e1.
-//! The root's frame, place and moment come out at the end; rotated so that the root stands in the clamp they are the base's.
+//! The root's frame, place and moment come out at the end; rotated so that the root stands in the clamp, which yields by that moment, they are
+//! the base's. Past the onset of softening a joint's turn from its rest is that of the section's law.
 //! Each joint is solved by a fixed point with Newton's slope at the start. Symbols as in [`crate::discrete::rod`].
 
 use crate::DiscreteRod;
@@ -12,6 +13,8 @@ use nalgebra::{Matrix3, Vector3};
 const TURN_STEPS: usize = 12;
 /// Change of a joint's turn at which it has settled, rad.
 const TURN_AGREES: f64 = 1e-10;
+/// Steps in which the clamp's turn settles; it is small, and the moment turns with it.
+const CLAMP_STEPS: usize = 6;
 /// Square of the turn below which series are used, rad^2.
 const SERIES_RAD2: f64 = 0.25;
 
@@ -47,8 +50,14 @@ impl DiscreteRod {
                 node -= frame.column(0) * self.link_mm;
             }
         }
-        // All is turned so that the root stands in the clamp.
-        let base = self.clamp_frame() * frame.transpose();
+        // All is turned so that the root stands in the clamp; one that yields turns with the moment that it carries, which turns with it.
+        let stiff = self.clamp_frame() * frame.transpose();
+        let mut base = stiff;
+        if self.compliance != Vector3::zeros() {
+            for _ in 0..CLAMP_STEPS {
+                base = rotation(&self.compliance.component_mul(&(base * moment))) * stiff;
+            }
+        }
         PointLoad {
             axis_mm: base * (touched - node),
             force_n: base * force_n,
@@ -70,7 +79,8 @@ impl DiscreteRod {
         let slope = Matrix3::identity() + Matrix3::from_diagonal(&soft) * change;
         let Some(newton) = slope.try_inverse() else { return turn };
         for _ in 0..TURN_STEPS {
-            let off = rest + right_jacobian_transposed(&turn, moment_nmm).component_mul(&soft) - turn;
+            let linear = right_jacobian_transposed(&turn, moment_nmm).component_mul(&soft);
+            let off = rest + self.softened(joint, linear) - turn;
             turn += newton * off;
             if off.norm_squared() < TURN_AGREES * TURN_AGREES {
                 break;
@@ -130,7 +140,36 @@ const LEFT: [f64; 7] = factorials(3);
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{Guess, Rod, Softening, Tangential};
     use nalgebra::Rotation3;
+    use wcal_core::observation::WhiskerSpec;
+
+    #[test]
+    fn taper_softening_and_a_clamp_that_yields_are_those_of_the_continuous_rod() {
+        let nominal = Rod::new(&WhiskerSpec::nominal(), 1.0).unwrap();
+        let softening = Some(Softening::Section { onset_per_m: 8.0, hardening: 0.3 });
+        let changed = |k: usize| {
+            let mut rod = nominal.clone();
+            rod.section.taper = if k == 1 { -0.3 } else { 0.0 };
+            rod.section.softening = softening.filter(|_| k == 2);
+            rod.compliance_rad_per_nmm = if k == 3 { 0.02 } else { 0.0 };
+            rod
+        };
+        let s_mm = 40.0;
+        let off = |rod: &Rod, links: &DiscreteRod| {
+            let load = links.under_point_load(s_mm, &Vector3::new(0.0, 0.006, 0.02));
+            let guess = Guess { force_n: load.force_n, arclength_mm: s_mm };
+            let held = rod.solve(&load.axis_mm, &guess, Tangential::Stick(s_mm)).unwrap();
+            (held.force_n - load.force_n).norm() / load.force_n.norm()
+        };
+        for k in 0..4 {
+            let links = DiscreteRod::of_rod(&changed(k), 0.3, 120).unwrap();
+            let own = off(&changed(k), &links);
+            // Control: the wire without the change is another.
+            let other = off(&nominal, &links);
+            assert!(own < 3e-3 && (k == 0 || other > 0.02), "{k}: {own} {other}");
+        }
+    }
 
     #[test]
     fn rotations_are_those_of_the_library_on_both_sides_of_the_series() {

@@ -74,7 +74,7 @@ impl Softening {
     }
 
     /// Curvature over onset, and its slope, at relative moment `y` >= 0.
-    fn relative_curvature(self, y: f64) -> (f64, f64) {
+    pub(crate) fn relative_curvature(self, y: f64) -> (f64, f64) {
         if y <= 1.0 {
             return (y, 1.0);
         }

@@ -20,9 +20,9 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_core::observation::WhiskerSpec;
 use wcal_core::ranges::Range;
-use wcal_rod::{DiscreteRod, Section, Shape};
+use wcal_rod::{DiscreteRod, Rod};
 
 mod force;
 
@@ -138,6 +138,10 @@ pub struct StaticInverse {
     cells: Vec<TableEntry>,
 }
 
+/// Mesh of a declared wire's shape, and how far a flat one lies from its plane, mm.
+const MESH_MM: f64 = 0.25;
+const FLAT_MM: f64 = 1e-9;
+
 type TableEntry = ([f32; 6], bool);
 
 impl StaticInverse {
@@ -146,6 +150,14 @@ impl StaticInverse {
     /// # Errors
     /// Where the whisker cannot be used or the grid is too coarse to hold a cell.
     pub fn new(whisker: &WhiskerSpec, grid: InverseGrid) -> Result<Self, TrackError> {
+        Self::of_rod(&Rod::new(whisker, MESH_MM)?, whisker.diameter_mm, grid)
+    }
+
+    /// The same of a rod whose section, shape and clamp may differ from a declared wire's.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn of_rod(rod: &Rod, diameter_mm: f64, grid: InverseGrid) -> Result<Self, TrackError> {
         if grid.directions < 4 || grid.steps < 2 || !(grid.max_nmm > 0.0 && grid.step_mm > 0.0) {
             return Err(TrackError::value(
                 "inverse grid",
@@ -153,11 +165,11 @@ impl StaticInverse {
                 format!("{grid:?}"),
             ));
         }
-        let shape = Shape::new(&whisker.rest_shape, 0.25)?;
-        let section = Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
-        let tip_mm = shape.length_mm;
+        let tip_mm = rod.shape.length_mm;
         grid.check(tip_mm)?;
-        let rod = DiscreteRod::new(&section, &shape, whisker.diameter_mm, grid.links)?;
+        let flat = (0..=grid.links)
+            .all(|k| rod.shape.rest_point(tip_mm * k as f64 / grid.links as f64).y.abs() < FLAT_MM);
+        let rod = DiscreteRod::of_rod(rod, diameter_mm, grid.links)?;
         let steps = ((tip_mm - grid.first_mm) / grid.step_mm).floor().max(1.0) as usize;
         let along =
             (0..=steps).map(|k| Node { arclength_mm: tip_mm - grid.step_mm * (steps - k) as f64, tilt: 0.0 });
@@ -186,10 +198,6 @@ impl StaticInverse {
         let of_lean = |k: usize| tilted.iter().flatten().map(|at| at[k]).collect();
         cells.extend((0..grid.tilts).map(of_lean));
         let nodes: Vec<Node> = along.chain(tip).collect();
-        let flat = match &whisker.rest_shape {
-            RestShape::StraightArc { .. } => true,
-            RestShape::Polyline(points) => points.iter().all(|p| p.y == 0.0),
-        };
         Ok(refine(&nodes, &cells, flat, grid))
     }
 

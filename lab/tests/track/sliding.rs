@@ -77,7 +77,8 @@ fn tracks(angle_deg: f64, seed: u64) -> Vec<Track> {
 
 #[test]
 fn a_sliding_contact_is_followed_in_any_direction() {
-    let wire = TouchedWire::new(&WhiskerSpec::nominal(), &MomentAxes::default()).unwrap();
+    let rod = wcal_rod::Rod::new(&WhiskerSpec::nominal(), 2.0).unwrap();
+    let wire = TouchedWire::new(&rod, WhiskerSpec::nominal().diameter_mm, &MomentAxes::default()).unwrap();
     let (mut supported, mut reversed_supported, mut sure, mut all) = (0, 0, 0, 0);
     println!("SIMULATED; contact error in space; regions along the wire");
     let (mut pooled_held, mut pooled) = (0, 0);
@@ -100,7 +101,8 @@ fn a_sliding_contact_is_followed_in_any_direction() {
             if !found.supported() {
                 continue;
             }
-            for ((place, regions), truth) in found.places.iter().zip(&found.regions).zip(&track.truth) {
+            for ((place, arc), truth) in found.places.iter().zip(&found.arcs).zip(&track.truth) {
+                let regions = arc.regions();
                 let (Some(at), Some((truth_mm, s_mm))) = (place.place_mm, truth) else { continue };
                 // The answer is the wire's axis, a radius from the object's point.
                 let off = at - truth_mm;

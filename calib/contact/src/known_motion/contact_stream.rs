@@ -12,9 +12,9 @@
 //! An object that retracts past first touch and returns touches the wire at the same point again, as in a table
 //! ([`super::episodes`]).
 
-use super::posterior::Region;
 use super::{EpisodeContact, Innovations, MomentField, MotionRow, RecursivePosterior, Settings, check_row};
 use crate::ContactError;
+use crate::arc_posterior::{ArcDensity, Region};
 use nalgebra::Vector3;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -34,13 +34,11 @@ const WAITING: usize = 48;
 /// What is known after a reading.
 #[derive(Debug, Clone, Default)]
 pub struct StreamedContact {
-    /// Where the wire is held; none outside of an episode.
-    pub place: Option<EpisodeContact>,
-    /// 95 % region of highest density over the arc length of first touch.
-    pub regions: Vec<Region>,
-    /// Number of the episode.
-    pub episode: Option<u64>,
-    /// Moments and motion do not belong together so far.
+    /// Where the wire is held, and the density over the arc length of first touch, by settings; none outside of an episode.
+    pub places: Vec<(EpisodeContact, ArcDensity)>,
+    /// Number of the episode, and unit vector of its push.
+    pub episode: Option<(u64, Vector3<f64>)>,
+    /// Moments and motion do not belong together so far under the last of the settings.
     pub disagrees: bool,
     /// The wire is loaded.
     pub loaded: bool,
@@ -65,7 +63,7 @@ pub struct FinishedEpisode {
 #[derive(Debug, Clone)]
 struct Running {
     number: u64,
-    posterior: RecursivePosterior,
+    posteriors: Vec<RecursivePosterior>,
     from_s: f64,
     last_s: f64,
     loaded: usize,
@@ -75,10 +73,17 @@ struct Running {
     regions: Vec<Region>,
 }
 
+impl Running {
+    /// Under the last of the settings, which allow the most.
+    fn last(&self) -> &RecursivePosterior {
+        &self.posteriors[self.posteriors.len() - 1]
+    }
+}
+
 /// Locates contacts reading by reading.
 pub struct ContactStream {
     field: Arc<MomentField>,
-    settings: Settings,
+    settings: Vec<Settings>,
     lead: VecDeque<MotionRow>,
     /// Loaded readings whose motion has no direction yet.
     waiting: Vec<MotionRow>,
@@ -91,8 +96,9 @@ pub struct ContactStream {
 }
 
 impl ContactStream {
-    /// Past a wire. Where readings must not wait for the rod, its table is filled before ([`MomentField::fill`]).
-    pub fn new(field: Arc<MomentField>, settings: Settings) -> Self {
+    /// Past a wire, under each of the settings, which differ in what is assumed of the point alone. Where readings must not wait for the rod, its
+    /// table is filled before ([`MomentField::fill`]).
+    pub fn new(field: Arc<MomentField>, settings: Vec<Settings>) -> Self {
         Self {
             field,
             settings,
@@ -125,7 +131,7 @@ impl ContactStream {
             self.interrupt();
             self.piece = piece;
         }
-        let is_loaded = self.settings.is_loaded(row);
+        let is_loaded = self.settings.iter().any(|s| s.is_loaded(row));
         if self.running.is_none() {
             self.begin(row, is_loaded, push);
         } else {
@@ -134,13 +140,16 @@ impl ContactStream {
         let Some(running) = &mut self.running else {
             return Ok(StreamedContact { loaded: is_loaded, ..StreamedContact::default() });
         };
-        let (place, posterior) = running.posterior.place(&self.field, row);
-        running.regions = posterior.regions();
+        let place = |posterior: &RecursivePosterior| {
+            let (place, posterior) = posterior.place(&self.field, row);
+            (place, posterior.arc())
+        };
+        let places: Vec<_> = running.posteriors.iter().map(place).collect();
+        running.regions = places.last().map(|p| p.1.regions()).unwrap_or_default();
         Ok(StreamedContact {
-            place: Some(place),
-            regions: running.regions.clone(),
-            episode: Some(running.number),
-            disagrees: !running.posterior.innovations().consistent(),
+            places,
+            episode: Some((running.number, running.last().push_direction())),
+            disagrees: !running.last().innovations().consistent(),
             loaded: is_loaded,
         })
     }
@@ -175,11 +184,12 @@ impl ContactStream {
         };
         let waiting = std::mem::take(&mut self.waiting);
         let lead: Vec<MotionRow> = self.lead.drain(..).collect();
-        let started = RecursivePosterior::start(&self.field, self.settings, direction, &lead, &waiting[0]);
-        let Some(posterior) = started else { return };
+        let start = |s: &Settings| RecursivePosterior::start(&self.field, *s, direction, &lead, &waiting[0]);
+        let started: Option<Vec<_>> = self.settings.iter().map(start).collect();
+        let Some(posteriors) = started.filter(|all| !all.is_empty()) else { return };
         self.running = Some(Running {
             number: self.episodes,
-            posterior,
+            posteriors,
             from_s: waiting[0].t_s,
             last_s: row.t_s,
             loaded: 1,
@@ -200,7 +210,7 @@ impl ContactStream {
             (running.free, running.past) = (0, 0);
             running.loaded += 1;
         } else {
-            let retracted = running.posterior.along_mm(&self.field, row) <= BACK_MM;
+            let retracted = running.last().along_mm(&self.field, row) <= BACK_MM;
             running.free += 1;
             running.past = if retracted { 0 } else { running.past + 1 };
             let too_few = running.loaded < MIN_LOADED && running.free > DIPS;
@@ -210,7 +220,7 @@ impl ContactStream {
                 return;
             }
         }
-        running.posterior.push(&self.field, row);
+        running.posteriors.iter_mut().for_each(|p| p.push(&self.field, row));
         running.last_s = row.t_s;
     }
 
@@ -245,7 +255,7 @@ impl ContactStream {
         if running.loaded < MIN_LOADED {
             return;
         }
-        let innovations = running.posterior.innovations();
+        let innovations = running.last().innovations();
         self.finished.push(FinishedEpisode {
             number: running.number,
             span_s: [running.from_s, running.last_s],

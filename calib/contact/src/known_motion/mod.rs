@@ -20,6 +20,9 @@
 //! A point that does not stay goes on over the object, across the push, by a share q of the motion since the first load:
 //! `P_k = Q_k P_ref + d_k + |d_k| (q_1 e_1 + q_2 e_2)`, `q ~ N(0, s_q^2)`, e_1 and e_2 across u. They are two common unknowns more.
 //!
+//! The stiffness of a foreign wire scales the moments: its column is that share of m(P), not of the reading, whose noise would draw it up by 2 n
+//! times the share.
+//!
 //! One standard deviation of an unknown c_j changes the moments by h_kj (map), the displacement by w_kj (an accepted effect of the stage) and
 //! the rod to another (an accepted effect of rod or friction, m_j): `H_kj = h_kj + (dm/dP) w_kj + m_j(P_k) - m(P_k)`.
 //! The interpolated m(P) has an error of its own, s_p (mm) and s_q (relative), which dominates where the noise is negligible.
@@ -49,7 +52,7 @@ pub use contact_stream::{ContactStream, StreamedContact};
 pub use episodes::episodes;
 pub use field::{Friction, MomentField};
 pub use motion_log::{LogRow, Motion, MotionLog, MotionUnknown};
-pub use posterior::{Posterior, Region};
+pub use posterior::Posterior;
 pub use recursive::{CorrelatedNoise, RecursivePosterior};
 
 use crate::ContactError;
@@ -112,6 +115,8 @@ pub struct Settings {
     pub first_mm: f64,
     /// Standard deviation of the way of the touched point over the object as a share of the motion's; 0: it stays, as in a groove.
     pub creep_sd: f64,
+    /// Relative standard deviation of the wire's stiffness, the last of the common unknowns; 0: it has none among them.
+    pub stiffness_sd: f64,
     /// Prior probability that a reading is an outlier.
     pub gross_share: f64,
     /// Readings of an episode that the posterior is made of; of more, every second, third, ...
@@ -128,6 +133,7 @@ impl Default for Settings {
             clock_sd_s: 0.0,
             first_mm: 8.0,
             creep_sd: 0.0,
+            stiffness_sd: 0.0,
             gross_share: 0.01,
             max_rows: 400,
             correlated: None,

@@ -2,10 +2,8 @@
 
 use super::EpisodeContact;
 use super::contact_path::{ContactPath, State, creep_mm};
+use crate::arc_posterior::{ArcDensity, REGION, Region};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
-
-/// Mass of the stated region.
-pub const REGION: f64 = 0.95;
 
 /// A node of the grid: onset and gap given the arc length.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,17 +42,6 @@ impl Node {
     pub(crate) fn with_creep(self, creep: Option<Creep>) -> Self {
         Self { creep, ..self }
     }
-}
-
-/// A piece of the 95 % region along the wire.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, schemars::JsonSchema)]
-pub struct Region {
-    /// Arc length of first touch from and to, mm.
-    pub from_mm: f64,
-    /// To, mm.
-    pub to_mm: f64,
-    /// Probability of the piece.
-    pub probability: f64,
 }
 
 /// Posterior of the state.
@@ -117,30 +104,16 @@ impl Posterior {
         self.density(state) >= self.threshold
     }
 
+    /// The density over the arc length of first touch.
+    pub fn arc(&self) -> ArcDensity {
+        let [places, ln] = [|n: &Node| n.state.s_mm, |n: &Node| n.ln]
+            .map(|of| self.nodes.iter().map(of).collect::<Vec<f64>>());
+        ArcDensity::of_logarithms(&places, &ln)
+    }
+
     /// The 95 % region along the wire: one piece for each peak.
     pub fn regions(&self) -> Vec<Region> {
-        let mut pieces: Vec<Region> = Vec::new();
-        let mut open = false;
-        for n in &self.nodes {
-            let inside = peak(n) > self.threshold;
-            let half = 0.5 * n.length_mm;
-            if inside {
-                let mass = n.mass * (1.0 - self.threshold / peak(n));
-                match pieces.last_mut().filter(|_| open) {
-                    Some(piece) => {
-                        piece.to_mm = n.state.s_mm + half;
-                        piece.probability += mass;
-                    }
-                    None => pieces.push(Region {
-                        from_mm: n.state.s_mm - half,
-                        to_mm: n.state.s_mm + half,
-                        probability: mass,
-                    }),
-                }
-            }
-            open = inside;
-        }
-        pieces
+        self.arc().regions()
     }
 
     /// Mean and covariance of the point's place at a reading; whether that was treated as an outlier is not known here.

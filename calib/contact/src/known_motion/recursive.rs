@@ -19,8 +19,8 @@
 //! both ways, `w_s ~ w_s [Phi(-q) p(y | free) + Phi(q) p(y | held)]`, q the depth over its standard deviation, and the two Gaussians are
 //! joined by their moments: so free readings bound the onset.
 //!
-//! Grid: where a reading would part two neighbouring nodes by more than 1 in ln w, the grid before it is interpolated between them and the
-//! reading taken again; nodes 14 below the best in ln w go, and there are at most [`MAX_NODES`]. Friction: the play operator of the parent
+//! Grid: where a reading would part two neighbouring nodes by more than 1 in ln w (in its regular part, where all nodes take it for an outlier),
+//! the grid before it is interpolated between them and the reading taken again; nodes 14 below the best in ln w go, and there are at most [`MAX_NODES`]. Friction: the play operator of the parent
 //! module, carried node by node at the mean; its slope is that without friction.
 //!
 //! Sources: R. S. Bucy, K. D. Senne, Automatica 7 (1971) 287 (point masses); A. Doucet, N. de Freitas, K. Murphy, S. Russell, UAI 2000, 176
@@ -132,6 +132,8 @@ pub struct RecursivePosterior {
     segment: u32,
     nodes: Vec<NodeFilter>,
     readings: usize,
+    /// Logarithm that was taken off those of all nodes.
+    taken_ln: f64,
 }
 
 /// Motion of a reading since the reference: rotation and translation (mm).
@@ -199,6 +201,7 @@ impl RecursivePosterior {
             segment: first.contact_segment,
             nodes: Vec::new(),
             readings: 1,
+            taken_ln: 0.0,
         };
         let first = &*own.with_creep(field, first);
         let lead: Vec<Cow<'_, MotionRow>> = lead.iter().map(|row| own.with_creep(field, row)).collect();
@@ -250,16 +253,19 @@ impl RecursivePosterior {
         // The grid before the reading is smooth where the one after it is not yet: refined there, and the reading taken again.
         let mut between: Vec<NodeFilter>;
         for _ in 0..MAX_HALVINGS {
-            let best = best_ln(&after);
+            // Where every node takes the reading for an outlier, its place may lie between two of them.
+            let missed =
+                after.iter().max_by(|a, b| a.ln.total_cmp(&b.ln)).is_some_and(|n| n.last_outlier > 0.5);
+            let ln = |k: usize| if missed { after[k].regular_ln } else { after[k].ln };
+            let best = (0..after.len()).map(ln).fold(f64::NEG_INFINITY, f64::max);
             let kept = |k: usize| {
                 let near = k.saturating_sub(1)..(k + 2).min(after.len());
-                near.into_iter().any(|k| after[k].ln > best - NO_MASS)
+                near.into_iter().any(|k| ln(k) > best - NO_MASS)
             };
             let split = |k: usize| {
-                let [a, b] = [&after[k], &after[k + 1]];
-                a.ln.max(b.ln) > best - REFINED_LN
-                    && (a.ln - b.ln).abs() > MAX_STEP_LN
-                    && b.s_mm - a.s_mm > MIN_STEP_MM
+                ln(k).max(ln(k + 1)) > best - REFINED_LN
+                    && (ln(k) - ln(k + 1)).abs() > MAX_STEP_LN
+                    && after[k + 1].s_mm - after[k].s_mm > MIN_STEP_MM
             };
             let gaps: Vec<usize> = (0..after.len().saturating_sub(1)).filter(|k| split(*k)).collect();
             let room = MAX_NODES.saturating_sub((0..after.len()).filter(|k| kept(*k)).count());
@@ -337,6 +343,16 @@ impl RecursivePosterior {
         })
     }
 
+    /// ln p(y_1 .. y_n), natural units of 1/(N mm)^2 a reading: the integral over the wire, on which s is uniform.
+    pub fn ln_evidence(&self, field: &MomentField) -> f64 {
+        let width = |w: &[NodeFilter]| 0.5 * (w[0].ln.exp() + w[1].ln.exp()) * (w[1].s_mm - w[0].s_mm);
+        let mass = self.nodes.windows(2).map(width).sum::<f64>().max(MIN_STEP_MM);
+        match self.nodes.is_empty() {
+            true => f64::NEG_INFINITY,
+            false => self.taken_ln + (mass / (field.length_mm() - self.settings.first_mm)).ln(),
+        }
+    }
+
     /// Unit vector of the push.
     pub fn push_direction(&self) -> Vector3<f64> {
         self.push
@@ -379,6 +395,7 @@ impl RecursivePosterior {
         let best = best_ln(&self.nodes);
         self.nodes.retain(|n| n.ln.is_finite());
         self.nodes.iter_mut().for_each(|n| n.ln -= best);
+        self.taken_ln += best;
         let has: Vec<bool> = self.nodes.iter().map(|n| n.ln > -NO_MASS).collect();
         let near = |k: usize| has[k.saturating_sub(1)..(k + 2).min(has.len())].iter().any(|h| *h);
         let mut k = 0;

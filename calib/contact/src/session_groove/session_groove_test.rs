@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
 use super::*;
+use crate::arc_posterior::REGION;
 use crate::known_groove::binomial_cdf;
-use crate::known_motion::posterior::REGION;
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

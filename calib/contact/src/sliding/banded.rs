@@ -136,6 +136,12 @@ impl Normal {
         Some(made)
     }
 
+    /// By how much the sum would fall in the step to its least.
+    pub fn gain(&self, by: &Factored) -> f64 {
+        let (step, common) = self.step(by);
+        self.right.dot(&step) + self.right_common.dot(&common)
+    }
+
     /// The step to the least sum.
     pub fn step(&self, by: &Factored) -> (DVector<f64>, DVector<f64>) {
         let mut free = self.right.clone();
@@ -146,6 +152,13 @@ impl Normal {
 }
 
 impl Factored {
+    /// Logarithm of the determinant.
+    pub fn ln_determinant(&self) -> f64 {
+        let last = self.band.width - 1;
+        let diagonal = (0..self.band.len()).map(|i| self.band.entries[(i + 1) * last + i]);
+        2.0 * diagonal.map(f64::ln).sum::<f64>() - self.corner.determinant().ln()
+    }
+
     /// Covariance of unknowns `from .. from + count`, what is common included.
     pub fn covariance(&self, from: usize, count: usize) -> DMatrix<f64> {
         let mut all = DMatrix::zeros(count, count);
@@ -193,6 +206,8 @@ mod tests {
         let (step, common) = normal.step(&factored);
         let expected = &inverse * &right;
         assert!((step - expected.rows(0, n)).amax() < 1e-8 && (common - expected.rows(n, m)).amax() < 1e-8);
+        assert!((factored.ln_determinant() + inverse.determinant().ln()).abs() < 1e-6);
+        assert!((normal.gain(&factored) - right.dot(&(&inverse * &right))).abs() < 1e-6);
         let block = factored.covariance(2, 3);
         assert!((&block - inverse.view((2, 2), (3, 3))).amax() < 1e-8);
         // Control: the chain alone, without what is common, has another covariance.

@@ -1,17 +1,71 @@
 //! Readings as the means of blocks over which the object goes on by a step: each step says about the same, whatever the rate.
+//!
+//! The mean of moments over a step is not the moment at its middle: by m'' var(d) / 2, with m'' from the blocks around ([`Means::at_middles`]).
 
 use crate::known_motion::MotionRow;
 use nalgebra::{Matrix2, Vector3};
 
 /// Way of the object over a block, mm.
-pub(super) const STEP_MM: f64 = 0.7;
+const STEP_MM: f64 = 0.7;
 
 /// A reading at an end lies up to this many steps past the middle of the last block.
 const PAST: f64 = 0.7;
 
+/// Means over blocks, each with the variance of the way within it, mm^2.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Means {
+    pub(super) rows: Vec<MotionRow>,
+    spreads_mm2: Vec<f64>,
+}
+
+impl Means {
+    fn push(&mut self, rows: &[MotionRow]) {
+        let mean = mean(rows);
+        let off = |r: &MotionRow| (r.moved_mm - mean.moved_mm).norm_squared();
+        self.spreads_mm2.push(rows.iter().map(off).sum::<f64>() / rows.len() as f64);
+        self.rows.push(mean);
+    }
+
+    /// Number of blocks.
+    pub fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// The moments at the blocks' mean places.
+    pub fn at_middles(&self) -> Vec<MotionRow> {
+        let rows = &self.rows;
+        let second = |k: usize| -> Option<[f64; 2]> {
+            let [a, b, c] = rows.get(k.checked_sub(1)?..k + 2)? else { return None };
+            let [before, after] = [(a, b), (b, c)].map(|(a, b)| (b.moved_mm - a.moved_mm).norm().max(1e-9));
+            Some([0, 1].map(|i| {
+                let rates = (c.moment_nmm[i] - b.moment_nmm[i]) / after
+                    - (b.moment_nmm[i] - a.moment_nmm[i]) / before;
+                2.0 * rates / (before + after)
+            }))
+        };
+        let last = rows.len().saturating_sub(2);
+        let middle = |(k, (row, spread)): (usize, (&MotionRow, &f64))| {
+            let bend = second(k.clamp(1, last.max(1))).unwrap_or_default();
+            let moment_nmm = [0, 1].map(|i| row.moment_nmm[i] - 0.5 * bend[i] * spread);
+            MotionRow { moment_nmm, ..row.clone() }
+        };
+        rows.iter().zip(&self.spreads_mm2).enumerate().map(middle).collect()
+    }
+
+    pub(super) fn extend(&mut self, other: Self) {
+        self.rows.extend(other.rows);
+        self.spreads_mm2.extend(other.spreads_mm2);
+    }
+}
+
 /// Means over blocks, and for each reading where it lies among them: a block and the share of the way to the next.
-pub(super) fn blocks(rows: &[MotionRow]) -> (Vec<MotionRow>, Vec<(usize, f64)>) {
-    let mut means = Vec::new();
+pub(super) fn blocks(rows: &[MotionRow]) -> (Means, Vec<(usize, f64)>) {
+    let mut all = Means::default();
     let mut from = 0;
     while from < rows.len() {
         let way = |k: usize| (rows[k].moved_mm - rows[from].moved_mm).norm();
@@ -21,9 +75,10 @@ pub(super) fn blocks(rows: &[MotionRow]) -> (Vec<MotionRow>, Vec<(usize, f64)>) 
         if to <= last && (rows[last].moved_mm - rows[to].moved_mm).norm() < 0.5 * STEP_MM {
             to = rows.len();
         }
-        means.push(mean(&rows[from..to]));
+        all.push(&rows[from..to]);
         from = to;
     }
+    let means = &all.rows;
     let place = |row: &MotionRow| {
         let Some(last) = means.len().checked_sub(2) else { return (0, 0.0) };
         let k = means.partition_point(|b| b.t_s <= row.t_s).saturating_sub(1).min(last);
@@ -31,10 +86,37 @@ pub(super) fn blocks(rows: &[MotionRow]) -> (Vec<MotionRow>, Vec<(usize, f64)>) 
         (k, share.clamp(-PAST, 1.0 + PAST))
     };
     let places = rows.iter().map(place).collect();
-    (means, places)
+    (all, places)
 }
 
-pub(super) fn mean(rows: &[MotionRow]) -> MotionRow {
+/// Readings of a block that are kept: a long hold says no more.
+const MAX_OPEN: usize = 64;
+
+/// Blocks of readings as they come.
+#[derive(Debug, Clone, Default)]
+pub struct Blocks {
+    /// Means of those that are complete.
+    pub means: Means,
+    open: Vec<MotionRow>,
+}
+
+impl Blocks {
+    /// Puts a reading into its block; whether one is complete by it.
+    pub fn push(&mut self, row: &MotionRow) -> bool {
+        let complete =
+            self.open.first().is_some_and(|first| (row.moved_mm - first.moved_mm).norm() >= STEP_MM);
+        if complete {
+            self.means.push(&self.open);
+            self.open.clear();
+        }
+        if self.open.len() < MAX_OPEN {
+            self.open.push(row.clone());
+        }
+        complete
+    }
+}
+
+fn mean(rows: &[MotionRow]) -> MotionRow {
     let n = rows.len() as f64;
     let of = |value: &dyn Fn(&MotionRow) -> f64| rows.iter().map(value).sum::<f64>() / n;
     let middle = &rows[rows.len() / 2];

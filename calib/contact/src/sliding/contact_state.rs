@@ -12,8 +12,8 @@
 
 use nalgebra::{Matrix2, Rotation3, SMatrix, SVector, Vector2, Vector3};
 use std::f64::consts::{FRAC_PI_2, PI};
-use wcal_core::observation::{MomentAxes, WhiskerSpec};
-use wcal_rod::{DiscreteRod, RodError, Section, Shape};
+use wcal_core::observation::MomentAxes;
+use wcal_rod::{DiscreteRod, Rod, RodError};
 
 /// Unknowns of a contact.
 pub(super) const STATE: usize = 5;
@@ -108,14 +108,15 @@ pub struct TouchedWire {
 }
 
 impl TouchedWire {
+    /// Of a rod with its accepted mechanics, its weight aside.
+    ///
     /// # Errors
-    /// Where the wire has no shape or stiffness.
-    pub fn new(whisker: &WhiskerSpec, axes: &MomentAxes) -> Result<Self, RodError> {
-        let shape = Shape::new(&whisker.rest_shape, 0.25)?;
-        let section = Section::round(whisker.diameter_mm, whisker.youngs_gpa, whisker.shear_gpa);
-        let rod = DiscreteRod::new(&section, &shape, whisker.diameter_mm, LINKS)?;
-        let rest = rod.joints().iter().map(|j| j.0).collect();
-        Ok(Self { rest, axes: axes.clone(), length_mm: shape.length_mm, ei_nmm2: section.ei_nmm2, rod })
+    /// Where the wire has no stiffness.
+    pub fn new(rod: &Rod, diameter_mm: f64, axes: &MomentAxes) -> Result<Self, RodError> {
+        let links = DiscreteRod::of_rod(rod, diameter_mm, LINKS)?;
+        let rest = links.joints().iter().map(|j| j.0).collect();
+        let (length_mm, ei_nmm2) = (rod.shape.length_mm, rod.section.ei_nmm2);
+        Ok(Self { rest, axes: axes.clone(), length_mm, ei_nmm2, rod: links })
     }
 
     /// What a contact shows.
@@ -239,9 +240,35 @@ impl TouchedWire {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::known_motion::{Friction, MomentField};
+    use wcal_core::observation::WhiskerSpec;
+    use wcal_rod::Softening;
 
     fn wire() -> TouchedWire {
-        TouchedWire::new(&WhiskerSpec::nominal(), &MomentAxes::default()).unwrap()
+        let rod = Rod::new(&WhiskerSpec::nominal(), 0.25).unwrap();
+        TouchedWire::new(&rod, WhiskerSpec::nominal().diameter_mm, &MomentAxes::default()).unwrap()
+    }
+
+    /// A point that holds the accepted wire is found again from its moments, and by the declared wire it is not.
+    #[test]
+    fn a_wire_that_verify_accepted_is_the_one_that_is_bent() {
+        let declared = Rod::new(&WhiskerSpec::nominal(), 0.25).unwrap();
+        let mut accepted = declared.clone();
+        accepted.section.taper = -0.3;
+        accepted.section.softening = Some(Softening::Bilinear { onset_per_m: 8.0, ratio: 0.6 });
+        accepted.compliance_rad_per_nmm = 0.01;
+        let axes = MomentAxes::default();
+        let field = MomentField::new(&accepted, &axes, Friction::NONE);
+        let place = field.free(40.0).0 + Vector3::new(0.0, 1.0, -5.0);
+        let held = field.held(&place, 0.0).unwrap();
+        let off_mm = |rod: &Rod| {
+            let wire = TouchedWire::new(rod, 0.3, &axes).unwrap();
+            let moment = Vector2::from(held.moment_nmm);
+            let found = wire.frictionless(held.arclength_mm, &moment, None).unwrap();
+            (wire.axis_mm(&wire.show(&found)) - place).norm()
+        };
+        assert!(off_mm(&accepted) < 0.05, "{}", off_mm(&accepted));
+        assert!(off_mm(&declared) > 0.5, "{}", off_mm(&declared));
     }
 
     /// A contact that gives its own moments is found again, and the frame does not jump at the joints.

@@ -21,6 +21,7 @@ use super::banded::Normal;
 use super::contact_state::{ContactQuantities, Rates, STATE, State, TouchedWire};
 use crate::known_motion::MotionRow;
 use nalgebra::{DVector, Matrix2, Vector2, Vector3};
+use std::f64::consts::TAU;
 
 /// Relative error of the wire's model, and of the links, N mm.
 const MODEL_SHARE: f64 = 0.002;
@@ -116,6 +117,12 @@ const HELD: f64 = 1e12;
 /// A column that changes by less than this share of its size is a constant.
 const CONSTANT: f64 = 1e-3;
 
+/// Covariance of what the wire's model is off at a block of readings, (N mm)^2.
+pub(crate) fn model_nmm2(row: &MotionRow) -> Matrix2<f64> {
+    let size = row.moment_nmm[0].hypot(row.moment_nmm[1]);
+    Matrix2::identity() * ((MODEL_SHARE * size).powi(2) + MODEL_NMM * MODEL_NMM)
+}
+
 /// Whether a common unknown is the same error in every reading.
 fn is_constant(rows: &[MotionRow], j: usize) -> bool {
     let of = |k: usize| Vector2::from(rows[k].shared_nmm[j]);
@@ -128,9 +135,7 @@ impl<'a> Chain<'a> {
         let whiten: Vec<Matrix2<f64>> = rows
             .iter()
             .map(|r| {
-                let size = r.moment_nmm[0].hypot(r.moment_nmm[1]);
-                let model = (MODEL_SHARE * size).powi(2) + MODEL_NMM * MODEL_NMM;
-                let covariance = r.noise_nmm2 + Matrix2::identity() * model;
+                let covariance = r.noise_nmm2 + model_nmm2(r);
                 covariance.cholesky().and_then(|c| c.l().try_inverse()).unwrap_or_else(Matrix2::zeros)
             })
             .collect();
@@ -295,6 +300,11 @@ impl<'a> Chain<'a> {
         c.norm_squared() + KINDS.iter().map(|kind| self.sum(*kind, &all, c)).sum::<f64>()
     }
 
+    /// Logarithm of the moments' densities where they are as the states have them.
+    pub fn ln_densities(&self) -> f64 {
+        self.whiten.iter().map(|w| w.determinant().abs().max(f64::MIN_POSITIVE).ln() - TAU.ln()).sum()
+    }
+
     /// What a state shows on the object, with its derivative.
     fn rates(&self, x: &State, row: &MotionRow) -> (Local, Rates) {
         let (y, mut rates) = self.wire.rates(x);
@@ -308,11 +318,11 @@ impl<'a> Chain<'a> {
     }
 
     /// The linearised problem; residuals with heavy tails by their weights.
-    pub fn linearise(&self, x: &[State], c: &DVector<f64>, common: Common) -> Normal {
+    pub fn linearise(&self, x: &[State], c: &DVector<f64>, common: Common, kinds: &[Kind]) -> Normal {
         let (locals, rates): (Vec<Local>, Vec<Rates>) =
             x.iter().zip(self.rows).map(|(x, r)| self.rates(x, r)).unzip();
         let mut normal = Normal::new(STATE * x.len(), self.shared, TIED * STATE);
-        for kind in KINDS {
+        for &kind in kinds {
             for k in 0..x.len() {
                 let Some(range) = self.readings(kind, k) else { continue };
                 let all = &locals[range.clone()];

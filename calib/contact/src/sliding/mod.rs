@@ -44,18 +44,20 @@ mod stream;
 pub use contact_state::TouchedWire;
 pub use stream::SlidingStream;
 
-use crate::arc::arclength_regions;
+use crate::arc_posterior::{ArcDensity, mixed_place};
 use crate::known_motion::contact_path::loaded;
-use crate::known_motion::{EpisodeContact, MotionRow, Region};
+use crate::known_motion::posterior::normal_share;
+use crate::known_motion::{EpisodeContact, MotionRow};
 use blocks::blocks;
+pub use blocks::{Blocks, Means};
+pub(crate) use factors::model_nmm2;
 use factors::{Chain, Ends};
 use first_path::{Candidate, candidates, first_paths};
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2};
 use rayon::prelude::*;
 use slips::{LEAPS, parts};
-use smooth::{BlockPosterior, posterior, smooth};
+use smooth::{BlockPosterior, ln_evidence, posterior, smooth};
 use std::ops::Range;
-use wcal_track::inverse::Node;
 
 /// Friction coefficients of the hypotheses.
 const FRICTIONS: [f64; 4] = [0.0, 0.1, 0.2, 0.3];
@@ -81,7 +83,9 @@ const MIN_BLOCKS: usize = 8;
 const MIN_MEANS: usize = 3;
 /// A load that would last for more than so many readings as it falls is lost at once.
 const LOST_AT_ONCE: f64 = 3.0;
-/// Spacing of the regions' nodes along the wire, mm.
+/// Logarithm of the density of a block of which nothing is predicted: anywhere in a circle of 3 N mm.
+pub(crate) const LN_ANYTHING: f64 = -3.341_954_5;
+/// Spacing of the densities' cells along the wire, mm.
 const NODE_MM: f64 = 0.1;
 
 /// Where a sliding contact is at each reading.
@@ -89,8 +93,12 @@ const NODE_MM: f64 = 0.1;
 pub struct SlidingContact {
     /// Places, one a reading.
     pub places: Vec<EpisodeContact>,
-    /// 95 % regions along the wire, one list a reading.
-    pub regions: Vec<Vec<Region>>,
+    /// Densities along the wire, one a reading.
+    pub arcs: Vec<ArcDensity>,
+    /// Means of the readings over a step of the motion, by which contacts are weighed.
+    pub means: Means,
+    /// ln p(m) of them along the motion and along the reversed one, natural units of 1/(N mm)^2 a block.
+    pub ln_evidence: [f64; 2],
     /// Log likelihood of the best hypothesis, up to a constant.
     pub evidence: f64,
     /// The same of the motion with its sign reversed.
@@ -129,7 +137,9 @@ impl SlidingContact {
     pub(crate) fn nothing(readings: usize) -> Self {
         Self {
             places: vec![free(); readings],
-            regions: vec![Vec::new(); readings],
+            arcs: vec![ArcDensity::default(); readings],
+            means: Means::default(),
+            ln_evidence: [f64::NEG_INFINITY; 2],
             evidence: f64::NEG_INFINITY,
             reversed_evidence: f64::NEG_INFINITY,
             predicted: 0,
@@ -162,9 +172,10 @@ fn free() -> EpisodeContact {
     EpisodeContact { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, outlier: false }
 }
 
-/// A hypothesis: its sum of squares, what of it is of the surface, and its posterior.
+/// A hypothesis: its sum of squares, ln p(m), what of the sum is of the surface, and its posterior.
 struct Hypothesis {
     cost: f64,
+    ln_evidence: f64,
     gaps: f64,
     blocks: Vec<BlockPosterior>,
 }
@@ -204,6 +215,7 @@ fn locate_parts(
         |r: &Range<usize>| Ends { from_free: r.start == 0, slips_off: lost_at_end && r.end == held.len() };
     let found: Vec<Option<Part>> =
         ranges.par_iter().map(|r| Part::find(wire, &held[r.clone()], ends(r))).collect();
+    ranges.iter().for_each(|r| all.means.extend(blocks(&held[r.clone()]).0));
     let each = || found.iter().flatten();
     if each().count() == 0 {
         return all;
@@ -211,6 +223,9 @@ fn locate_parts(
     all.evidence = each().map(|p| -0.5 * p.cost()).sum();
     all.reversed_evidence = each().map(|p| -0.5 * p.reversed_cost).sum();
     all.predicted = each().map(|p| p.count).sum();
+    all.ln_evidence = [0, 1].map(|k| each().map(|p| p.ln_evidence[k]).sum());
+    // Parts that no path explains are anything.
+    all.ln_evidence[0] += (all.means.len() - all.predicted) as f64 * LN_ANYTHING;
     all.gaps = each().map(Part::gaps).fold(0.0, f64::max);
     all.turns_back = turns_back(held);
     all.slips = ranges[1..].iter().map(|r| first + r.start).collect();
@@ -221,7 +236,7 @@ fn locate_parts(
         for (k, at) in range.clone().zip(&part.at) {
             let each = part.mixture(*at);
             all.places[first + k] = place(&each, &held[k], lost * wire.length_mm.powi(2) / 12.0);
-            all.regions[first + k] = regions(&each, wire.length_mm, lost);
+            all.arcs[first + k] = arc(&each, wire.length_mm, lost);
         }
     }
     all
@@ -230,8 +245,9 @@ fn locate_parts(
 /// Readings of a contact without a slip between them, with their hypotheses.
 struct Part {
     hypotheses: Vec<Hypothesis>,
-    /// Least sum of squares under the reversed motion.
+    /// Least sum of squares under the reversed motion, and ln p(m) along the motion and along that.
     reversed_cost: f64,
+    ln_evidence: [f64; 2],
     /// Blocks, and where each reading lies among them.
     count: usize,
     at: Vec<(usize, f64)>,
@@ -241,6 +257,7 @@ impl Part {
     /// None where nothing explains the readings.
     fn find(wire: &TouchedWire, rows: &[MotionRow], ends: Ends) -> Option<Self> {
         let (means, at) = blocks(rows);
+        let means = means.rows;
         if means.len() < MIN_MEANS {
             return None;
         }
@@ -251,7 +268,15 @@ impl Part {
         );
         let reversed_cost = control.iter().map(|h| h.cost).fold(f64::INFINITY, f64::min);
         let hypotheses = of_one_surface(hypotheses, means.len(), |h| h);
-        (!hypotheses.is_empty()).then_some(Self { hypotheses, reversed_cost, count: means.len(), at })
+        // A surface that leaves more than this explains nothing, whatever its evidence beside worse ones.
+        let most = MAX_COST * means.len() as f64;
+        let explains = |h: &&Hypothesis| h.cost <= most;
+        let best = |all: &[Hypothesis]| {
+            all.iter().filter(explains).map(|h| h.ln_evidence).fold(f64::NEG_INFINITY, f64::max)
+        };
+        let ln_evidence = [best(&hypotheses), best(&control)];
+        let count = means.len();
+        (!hypotheses.is_empty()).then_some(Self { hypotheses, reversed_cost, ln_evidence, count, at })
     }
 
     fn best(&self) -> &Hypothesis {
@@ -299,10 +324,12 @@ fn lost_at_once(rows: &[MotionRow]) -> bool {
     last > 0 && size(last) > LOST_AT_ONCE * ((size(last) - size(last - 1)).abs() + noise)
 }
 
-fn reversed(rows: &[MotionRow]) -> Vec<MotionRow> {
+/// Readings whose motion has the other sign.
+pub(crate) fn reversed(rows: &[MotionRow]) -> Vec<MotionRow> {
     let mut rows = rows.to_vec();
     for row in &mut rows {
         (row.moved_mm, row.turn) = (-row.moved_mm, row.turn.inverse());
+        row.velocity_mm_s = -row.velocity_mm_s;
     }
     rows
 }
@@ -316,7 +343,8 @@ fn hypotheses(chain: &Chain<'_>, contacts: &[Vec<Candidate>], frictions: &[f64])
         let both = found.iter().zip(frictions).filter_map(|(found, mu)| {
             chain.friction = *mu;
             let gaps = chain.gaps(&found.x, &found.common);
-            Some(Hypothesis { cost: found.cost, gaps, blocks: posterior(&chain, found, 0..found.x.len())? })
+            let blocks = posterior(&chain, found, 0..found.x.len())?;
+            Some(Hypothesis { cost: found.cost, ln_evidence: ln_evidence(&chain, found)?, gaps, blocks })
         });
         both.collect::<Vec<_>>()
     };
@@ -338,13 +366,11 @@ fn between(blocks: &[BlockPosterior], k: usize, share: f64) -> BlockPosterior {
 
 /// Mean and covariance over the hypotheses, base frame; `lost_mm2` is added where the contact may be lost.
 fn place(each: &[(f64, BlockPosterior)], row: &MotionRow, lost_mm2: f64) -> EpisodeContact {
-    let total: f64 = each.iter().map(|e| e.0).sum();
-    let mean: Vector3<f64> = each.iter().map(|(w, b)| b.axis_mm * (w / total)).sum();
-    let mut covariance = Matrix3::identity() * (MODEL_SD_MM * MODEL_SD_MM + lost_mm2);
-    for (w, b) in each {
-        let off = b.axis_mm - mean;
-        covariance += (b.covariance_mm2 + off * off.transpose()) * (w / total);
-    }
+    let Some((mean, covariance)) = mixed_place(each.iter().map(|(w, b)| (*w, b.axis_mm, b.covariance_mm2)))
+    else {
+        return free();
+    };
+    let covariance = covariance + Matrix3::identity() * (MODEL_SD_MM * MODEL_SD_MM + lost_mm2);
     let turn = row.turn.matrix();
     EpisodeContact {
         place_mm: Some(row.turn * mean + row.moved_mm),
@@ -354,28 +380,25 @@ fn place(each: &[(f64, BlockPosterior)], row: &MotionRow, lost_mm2: f64) -> Epis
     }
 }
 
-/// 95 % regions of the mixture of normal distributions along the wire; what lies past the tip is at the tip. The
-/// whole wire where the contact may be lost: then the part of which nothing is known is more than the 5 % outside.
-fn regions(each: &[(f64, BlockPosterior)], length_mm: f64, lost: f64) -> Vec<Region> {
-    if lost > 0.0 {
-        return vec![Region { from_mm: 0.0, to_mm: length_mm, probability: 1.0 }];
-    }
+/// Density of the mixture of normal distributions along the wire; what lies past the tip is at the tip. `lost` of it is anywhere.
+fn arc(each: &[(f64, BlockPosterior)], length_mm: f64, lost: f64) -> ArcDensity {
     let count = (length_mm / NODE_MM) as usize;
     let at = |k: usize| length_mm - NODE_MM * (count - k) as f64;
-    let nodes: Vec<Node> = (0..=count).map(|k| Node { arclength_mm: at(k), tilt: 0.0 }).collect();
-    let mut weights = vec![0.0_f64; nodes.len()];
+    let places: Vec<f64> = (0..=count).map(at).collect();
+    let mut masses = vec![0.0; places.len()];
     for (w, b) in each {
         let sd = b.sd_mm.hypot(MODEL_SD_MM);
-        let below =
-            |s: f64| 0.5 * statrs::function::erf::erfc((b.arclength_mm - s) / sd / std::f64::consts::SQRT_2);
         let mut last = 0.0;
-        for (k, weight) in weights.iter_mut().enumerate() {
-            let next = if k == count { 1.0 } else { below(at(k) + 0.5 * NODE_MM) };
-            *weight += w * (next - last);
+        for (k, mass) in masses.iter_mut().enumerate() {
+            let end = at(k) + 0.5 * NODE_MM;
+            let next = if k == count { 1.0 } else { normal_share((end - b.arclength_mm) / sd) };
+            *mass += w * (next - last);
             last = next;
         }
     }
-    let total: f64 = weights.iter().sum();
-    let weights: Vec<f32> = weights.iter().map(|w| (w / total) as f32).collect();
-    arclength_regions(&nodes, &weights)
+    let own = ArcDensity::of_masses(&places, &masses);
+    if lost == 0.0 {
+        return own;
+    }
+    ArcDensity::mixture([(1.0 - lost, &own), (lost, &ArcDensity::uniform(length_mm))])
 }

@@ -8,12 +8,13 @@
 //!
 //! A reading within a block that is not complete goes on from the last two. What comes later mends a contact's beginning; a filter cannot.
 
-use super::blocks::{STEP_MM, mean};
+use super::blocks::Blocks;
 use super::first_path::{candidates, first_paths};
-use super::smooth::{BlockPosterior, Smoothed, descend, posterior, smooth};
+use super::smooth::{BlockPosterior, Smoothed, descend, ln_evidence, posterior, smooth};
 use super::{Chain, Ends, Hypothesis, TouchedWire};
-use super::{DISCOUNT, FRICTIONS, LOST, MIN_BLOCKS, between, of_one_surface, place, regions};
-use crate::known_motion::{EpisodeContact, MotionRow, Region};
+use super::{DISCOUNT, FRICTIONS, LOST, arc, between, of_one_surface, place};
+use crate::arc_posterior::ArcDensity;
+use crate::known_motion::{EpisodeContact, MotionRow};
 use rayon::prelude::*;
 
 /// Blocks at which all paths are looked for anew: from so many on, at each doubling.
@@ -21,8 +22,7 @@ const FIRST_SEARCH: usize = 4;
 /// Weight of a path, and number of them, that are followed.
 const MIN_WEIGHT: f64 = 1e-3;
 const MAX_PATHS: usize = 8;
-/// Readings of a block, blocks of a contact, and steps that a reading lies past the last but one of its blocks, at most.
-const MAX_OPEN: usize = 64;
+/// Blocks of a contact, and steps that a reading lies past the last but one of its blocks, at most.
 const MAX_BLOCKS: usize = 200;
 const MAX_SHARE: f64 = 2.7;
 /// Nothing slips off while it is followed.
@@ -38,9 +38,7 @@ struct Path {
 /// Follows a contact from its first loaded reading on.
 pub struct SlidingStream {
     wire: TouchedWire,
-    /// Blocks that are complete, and the readings of the one that is not.
-    means: Vec<MotionRow>,
-    open: Vec<MotionRow>,
+    blocks: Blocks,
     /// Blocks that the paths go through.
     solved: usize,
     search_at: usize,
@@ -50,22 +48,21 @@ pub struct SlidingStream {
 impl SlidingStream {
     /// With the readings so far.
     pub fn new(wire: TouchedWire, rows: &[MotionRow]) -> Self {
-        let (means, open) = (Vec::new(), Vec::new());
-        let mut all = Self { wire, means, open, solved: 0, search_at: FIRST_SEARCH, paths: Vec::new() };
-        rows.iter().for_each(|row| all.keep(row));
-        all
+        let mut blocks = Blocks::default();
+        rows.iter().for_each(|row| _ = blocks.push(row));
+        Self { wire, blocks, solved: 0, search_at: FIRST_SEARCH, paths: Vec::new() }
     }
 
-    /// Takes a loaded reading; its contact, and the 95 % regions along the wire, where some path explains the readings so far.
-    pub fn push(&mut self, row: &MotionRow) -> Option<(EpisodeContact, Vec<Region>)> {
-        if self.means.len() > MAX_BLOCKS {
+    /// Takes a loaded reading; its contact, and the density along the wire, where some path explains the readings so far.
+    pub fn push(&mut self, row: &MotionRow) -> Option<(EpisodeContact, ArcDensity)> {
+        if self.blocks.means.len() > MAX_BLOCKS {
             return None;
         }
-        self.keep(row);
-        if self.means.len() > self.solved && self.means.len() >= FIRST_SEARCH {
+        self.blocks.push(row);
+        if self.blocks.means.len() > self.solved && self.blocks.means.len() >= FIRST_SEARCH {
             self.follow();
         }
-        let [.., a, b] = &self.means[..self.solved] else { return None };
+        let [.., a, b] = &self.blocks.means.rows[..self.solved] else { return None };
         // As far as the object has gone on since.
         let step = b.moved_mm - a.moved_mm;
         let share = (row.moved_mm - a.moved_mm).dot(&step) / step.norm_squared().max(1e-12);
@@ -78,32 +75,20 @@ impl SlidingStream {
         }
         // Nothing is sure before the end is seen.
         let lost = LOST * self.wire.length_mm.powi(2) / 12.0;
-        Some((place(&each, row, lost), regions(&each, self.wire.length_mm, LOST)))
+        Some((place(&each, row, lost), arc(&each, self.wire.length_mm, LOST)))
     }
 
-    /// Puts a reading into its block.
-    fn keep(&mut self, row: &MotionRow) {
-        if self.open.first().is_some_and(|first| (row.moved_mm - first.moved_mm).norm() >= STEP_MM) {
-            self.means.push(mean(&self.open));
-            self.open.clear();
-        }
-        // A long hold says no more.
-        if self.open.len() < MAX_OPEN {
-            self.open.push(row.clone());
-        }
-    }
-
-    /// Whether some path explains the readings so far.
-    pub fn explains(&self) -> bool {
-        let best = self.paths.iter().map(|p| p.hypothesis.cost).fold(f64::INFINITY, f64::min);
-        self.solved >= MIN_BLOCKS && best <= super::MAX_COST * self.solved as f64
+    /// ln p(m) of the blocks so far, and how many they are; none before a path explains them.
+    pub fn ln_evidence(&self) -> Option<(f64, usize)> {
+        let best = self.paths.iter().map(|p| p.hypothesis.ln_evidence).fold(f64::NEG_INFINITY, f64::max);
+        best.is_finite().then_some((best, self.solved))
     }
 
     /// Draws the paths on to the newest block.
     fn follow(&mut self) {
-        let blocks = self.means.len();
+        let blocks = self.blocks.means.len();
         let searched = blocks >= self.search_at;
-        let chain = Chain::new(&self.wire, &self.means, GOING_ON);
+        let chain = Chain::new(&self.wire, &self.blocks.means.rows, GOING_ON);
         let found: Vec<(f64, Smoothed)> = if searched || self.paths.is_empty() {
             search(&chain)
         } else {
@@ -114,7 +99,9 @@ impl SlidingStream {
             (chain.friction, chain.by_slip, chain.heavy) = (friction, true, true);
             let gaps = chain.gaps(&found.x, &found.common);
             let last = posterior(&chain, &found, blocks - 2..blocks)?;
-            Some(Path { friction, hypothesis: Hypothesis { cost: found.cost, gaps, blocks: last }, found })
+            let ln_evidence = ln_evidence(&chain, &found)?;
+            let hypothesis = Hypothesis { cost: found.cost, ln_evidence, gaps, blocks: last };
+            Some(Path { friction, hypothesis, found })
         };
         let mut paths: Vec<Path> = found.into_par_iter().filter_map(path).collect();
         paths.sort_by(|a, b| a.hypothesis.cost.total_cmp(&b.hypothesis.cost));

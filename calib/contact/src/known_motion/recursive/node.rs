@@ -66,6 +66,8 @@ pub(super) struct NodeFilter {
     covariance: DMatrix<f64>,
     /// Logarithm of the probability per arc length, not normalised.
     pub ln: f64,
+    /// The same with the last reading taken as a regular one: where all nodes take it for an outlier, it says which is nearest to explaining it.
+    pub regular_ln: f64,
     /// Chi-squared of the innovations so far: every reading as regular, and with the larger noise of the outliers.
     pub chi2: [f64; 2],
     /// Readings that were outliers, by probability; and that of the last.
@@ -137,6 +139,7 @@ impl NodeFilter {
             mean: DVector::zeros(size),
             covariance,
             ln: 0.0,
+            regular_ln: 0.0,
             chi2: [0.0; 2],
             outlier: 0.0,
             last_outlier: 0.0,
@@ -204,6 +207,7 @@ impl NodeFilter {
         self.covariance = &self.covariance * a + &other.covariance * b + &off * off.transpose() * (a * b);
         self.mean += off * b;
         self.ln = ln;
+        self.regular_ln = self.regular_ln.max(other.regular_ln);
         self.chi2 = [0, 1].map(|k| a * self.chi2[k] + b * other.chi2[k]);
         self.outlier = a * self.outlier + b * other.outlier;
         self.last_outlier = a * self.last_outlier + b * other.last_outlier;
@@ -297,6 +301,11 @@ impl NodeFilter {
         found.contact = Some((held.arclength_mm, place));
         found.slope.set_column(ONSET, &(rate * (reading.turn * -reading.push)));
         found.slope.set_column(GAP, &(rate * (reading.turn * self.across)));
+        // The last common unknown but for those of a creeping point.
+        if settings.stiffness_sd > 0.0 {
+            let at = COMMON + common - 1 - if settings.creep_sd > 0.0 { 2 } else { 0 };
+            found.slope.set_column(at, &(found.moment_nmm * settings.stiffness_sd));
+        }
         // Errors of the displacement enter through dm/dP.
         for (j, way) in row.shared_displacement_mm.iter().enumerate() {
             let mut column = found.slope.column_mut(COMMON + j);
@@ -380,6 +389,7 @@ impl NodeFilter {
                 let gain = to_state.transpose() * inverse_used;
                 self.mean = before + &gain * innovation;
                 self.covariance -= gain * to_state;
+                self.regular_ln = self.ln + parts[0];
                 self.ln += ln;
                 self.chi2[0] += squared;
                 self.chi2[1] += innovation.dot(&(inverse_used * innovation));
@@ -404,7 +414,7 @@ impl NodeFilter {
 
     /// The wire has no equilibrium here, or the numbers have none: no state of this node.
     fn unexplained(&mut self) {
-        self.ln = f64::NEG_INFINITY;
+        (self.ln, self.regular_ln) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
     }
 
     /// `p(x) <- p(x) Phi(past / w)`, `past = sign (x - x_k)`, moments matched (C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for

@@ -1,0 +1,186 @@
+//! A posterior over the wire: its density by arc length, and the regions where it is highest.
+//!
+//! The density is constant in each of its cells. A region holds cells in the order of their density until it has 95 % of the mass; neighbours
+//! are one piece (G. E. P. Box, G. C. Tiao, "Bayesian Inference in Statistical Analysis", 1973, 2.8).
+
+use nalgebra::{Matrix3, Vector3};
+
+/// Mass of the stated regions.
+pub const REGION: f64 = 0.95;
+/// Cells between two nodes whose density is known: fewest, most, and their width between, mm; least width of any cell, mm.
+const PARTS: [f64; 2] = [8.0, 32.0];
+const PART_MM: f64 = 0.02;
+const LEAST_MM: f64 = 1e-3;
+/// Ends of cells nearer than this are one, mm.
+const SAME_MM: f64 = 1e-6;
+/// Relative rounding of masses and densities.
+const ROUNDING: f64 = 1e-6;
+
+/// A piece of the 95 % region along the wire.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, schemars::JsonSchema)]
+pub struct Region {
+    /// Arc length of first touch from and to, mm.
+    pub from_mm: f64,
+    /// To, mm.
+    pub to_mm: f64,
+    /// Probability of the piece.
+    pub probability: f64,
+}
+
+impl Region {
+    fn density(&self) -> f64 {
+        self.probability / (self.to_mm - self.from_mm).max(LEAST_MM)
+    }
+}
+
+/// Density over the wire: cells in order of arc length, whose masses sum to 1; empty where nothing is known.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ArcDensity(Vec<Region>);
+
+impl ArcDensity {
+    fn normalised(mut cells: Vec<Region>) -> Self {
+        let total: f64 = cells.iter().map(|c| c.probability).sum();
+        cells.iter_mut().for_each(|c| c.probability /= total);
+        Self(if total > 0.0 { cells } else { Vec::new() })
+    }
+
+    /// Of masses at places (mm) in order; each stands for the wire half way to its neighbours.
+    pub fn of_masses(places_mm: &[f64], masses: &[f64]) -> Self {
+        let last = places_mm.len().saturating_sub(1);
+        let cell = |(k, mass): (usize, &f64)| Region {
+            from_mm: 0.5 * (places_mm[k.saturating_sub(1)] + places_mm[k]),
+            to_mm: 0.5 * (places_mm[k] + places_mm[(k + 1).min(last)]),
+            probability: *mass,
+        };
+        Self::normalised(masses.iter().enumerate().map(cell).collect())
+    }
+
+    /// Of the logarithm of the density at places (mm) in order, linear between them.
+    pub fn of_logarithms(places_mm: &[f64], ln: &[f64]) -> Self {
+        let best = ln.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        if let [place] = places_mm {
+            let (from_mm, to_mm) = (place - 0.5 * LEAST_MM, place + 0.5 * LEAST_MM);
+            return Self(vec![Region { from_mm, to_mm, probability: 1.0 }]);
+        }
+        let parts = |k: usize| ((places_mm[k + 1] - places_mm[k]) / PART_MM).ceil().clamp(PARTS[0], PARTS[1]);
+        let part = |k: usize, p: usize| {
+            let (share, width_mm) = (1.0 / parts(k), places_mm[k + 1] - places_mm[k]);
+            let at = |p: usize| {
+                if p as f64 == parts(k) {
+                    places_mm[k + 1]
+                } else {
+                    places_mm[k] + width_mm * share * p as f64
+                }
+            };
+            let density = (ln[k] + (ln[k + 1] - ln[k]) * share * (p as f64 + 0.5) - best).exp();
+            Region { from_mm: at(p), to_mm: at(p + 1), probability: density * width_mm * share }
+        };
+        let between = 0..places_mm.len().saturating_sub(1);
+        Self::normalised(
+            between
+                .flat_map(|k| (0..parts(k) as usize).map(move |p| (k, p)))
+                .map(|(k, p)| part(k, p))
+                .collect(),
+        )
+    }
+
+    /// The same density over a whole wire.
+    pub fn uniform(length_mm: f64) -> Self {
+        Self(vec![Region { from_mm: 0.0, to_mm: length_mm, probability: 1.0 }])
+    }
+
+    /// Of several with their weights.
+    pub fn mixture<'a>(parts: impl IntoIterator<Item = (f64, &'a Self)>) -> Self {
+        let parts: Vec<(f64, &Self)> = parts.into_iter().collect();
+        let mut edges: Vec<f64> =
+            parts.iter().flat_map(|p| &p.1.0).flat_map(|c| [c.from_mm, c.to_mm]).collect();
+        edges.sort_by(f64::total_cmp);
+        edges.dedup_by(|b, a| *b - *a < SAME_MM);
+        let mut cells: Vec<Region> =
+            edges.windows(2).map(|e| Region { from_mm: e[0], to_mm: e[1], probability: 0.0 }).collect();
+        for (weight, part) in parts {
+            for cell in &part.0 {
+                let first = edges.partition_point(|e| *e < cell.from_mm - SAME_MM);
+                let end_mm = cell.to_mm + SAME_MM;
+                let within = cells.iter_mut().skip(first).take_while(|c| c.to_mm <= end_mm);
+                let share = weight * cell.probability / (cell.to_mm - cell.from_mm).max(f64::MIN_POSITIVE);
+                within.for_each(|c| c.probability += share * (c.to_mm - c.from_mm));
+            }
+        }
+        Self::normalised(cells)
+    }
+
+    /// 95 % regions of highest density.
+    pub fn regions(&self) -> Vec<Region> {
+        let mut order: Vec<usize> = (0..self.0.len()).collect();
+        order.sort_by(|a, b| self.0[*b].density().total_cmp(&self.0[*a].density()));
+        let mut sum = 0.0;
+        let least = order.into_iter().map(|k| &self.0[k]).find(|cell| {
+            sum += cell.probability;
+            sum >= REGION - ROUNDING
+        });
+        // All of the same density are in or out.
+        let least = least.map_or(0.0, |cell| cell.density() * (1.0 - ROUNDING));
+        let mut pieces: Vec<Region> = Vec::new();
+        for cell in self.0.iter().filter(|c| c.density() >= least) {
+            match pieces.last_mut().filter(|piece| cell.from_mm <= piece.to_mm + SAME_MM) {
+                Some(piece) => {
+                    piece.to_mm = cell.to_mm;
+                    piece.probability += cell.probability;
+                }
+                None => pieces.push(*cell),
+            }
+        }
+        pieces
+    }
+}
+
+/// Mean and covariance (mm) of several with their weights.
+pub fn mixed_place(
+    parts: impl Iterator<Item = (f64, Vector3<f64>, Matrix3<f64>)> + Clone,
+) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    let total: f64 = parts.clone().map(|p| p.0).sum();
+    let mean: Vector3<f64> = parts.clone().map(|(w, at, _)| at * (w / total)).sum();
+    let about = |(w, at, covariance): (f64, Vector3<f64>, Matrix3<f64>)| {
+        (covariance + (at - mean) * (at - mean).transpose()) * (w / total)
+    };
+    (total > 0.0).then(|| (mean, parts.map(about).sum()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ends(regions: &[Region]) -> Vec<[f64; 2]> {
+        regions.iter().map(|r| [r.from_mm, r.to_mm]).collect()
+    }
+
+    #[test]
+    fn two_peaks_are_two_pieces_and_a_wide_one_needs_more_of_the_wire() {
+        let places: Vec<f64> = (0..=20).map(f64::from).collect();
+        let mut masses = vec![0.0; 21];
+        (masses[5], masses[6], masses[20]) = (0.3, 0.3, 0.4);
+        let two = ArcDensity::of_masses(&places, &masses);
+        assert_eq!(ends(&two.regions()), [[4.5, 6.5], [19.5, 20.0]]);
+        assert!((two.regions()[0].probability - 0.6).abs() < 1e-12);
+        assert!(ArcDensity::default().regions().is_empty());
+        let all = ArcDensity::uniform(20.0);
+        assert_eq!(ends(&all.regions()), [[0.0, 20.0]]);
+        // A tenth of it anywhere: the peaks are not enough.
+        let mixed = |lost: f64| ArcDensity::mixture([(1.0 - lost, &two), (lost, &all)]);
+        assert_eq!(ends(&mixed(0.1).regions()), [[0.0, 20.0]]);
+        assert_eq!(ends(&mixed(0.04).regions()), ends(&two.regions()));
+    }
+
+    #[test]
+    fn a_normal_density_has_two_standard_deviations_on_each_side() {
+        let places: Vec<f64> = (0..=24).map(|k| 30.0 + 0.1 * (f64::from(k) - 12.0) / 3.0).collect();
+        let ln: Vec<f64> = places.iter().map(|s| -0.5 * ((s - 30.0) / 0.1_f64).powi(2)).collect();
+        let [piece] = ArcDensity::of_logarithms(&places, &ln).regions()[..] else { panic!() };
+        assert!((piece.from_mm - 29.804).abs() < 0.006 && (piece.to_mm - 30.196).abs() < 0.006, "{piece:?}");
+        // Two of the same a millimetre apart: their middle lies between them, and the spread is theirs.
+        let at = |x: f64| (0.5, Vector3::new(x, 0.0, 0.0), Matrix3::identity() * 0.01);
+        let (mean, covariance) = mixed_place([at(30.0), at(31.0)].into_iter()).unwrap();
+        assert!((mean.x - 30.5).abs() < 1e-12 && (covariance[(0, 0)] - 0.26).abs() < 1e-12);
+    }
+}

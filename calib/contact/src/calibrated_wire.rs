@@ -1,0 +1,89 @@
+//! The wire of a whisker as its calibration has it: every way to locate a contact bends this one.
+
+use crate::ContactError;
+use crate::known_motion::{Friction, MomentField};
+use crate::reading::Moments;
+use crate::sliding::TouchedWire;
+use nalgebra::{Matrix2, Vector3};
+use std::sync::Arc;
+use wcal_core::observation::MomentAxes;
+use wcal_rod::Rod;
+use wcal_trace::whisker::groove_motion::AcceptedWire;
+use wcal_track::{InverseGrid, StaticInverse};
+
+/// A wire, in the frame of its wire.
+#[derive(Clone)]
+pub struct CalibratedWire {
+    /// Its moments where it is held at one point.
+    pub field: Arc<MomentField>,
+    rod: Rod,
+    diameter_mm: f64,
+    /// Relative standard deviation of the diameter of the wire that is tracked; none where it is the calibration's own, whose stiffness is in
+    /// the scale of the moments.
+    tolerance: Option<f64>,
+}
+
+/// The moments of a wire with its accepted mechanics.
+pub fn moment_field(wire: &AcceptedWire, axes: &MomentAxes) -> MomentField {
+    let friction = match wire.friction {
+        mu if mu > 0.0 => Friction { coefficient: mu, moving_share: wire.moving_share },
+        _ => Friction::NONE,
+    };
+    MomentField::new(&wire.rod, axes, friction)
+}
+
+impl CalibratedWire {
+    /// With the wire by one standard deviation of each of the readings' first common unknowns; `diameter_mm` is the declared one.
+    pub fn new(wire: &AcceptedWire, changed: &[AcceptedWire], diameter_mm: f64) -> Self {
+        let axes = MomentAxes::default();
+        let changed = changed.iter().map(|w| moment_field(w, &axes)).collect();
+        let field = Arc::new(moment_field(wire, &axes).with_changed(changed));
+        Self { field, rod: wire.rod.clone(), diameter_mm, tolerance: None }
+    }
+
+    /// Of a rod without friction whose errors are those of the readings alone.
+    pub fn of_rod(rod: Rod, diameter_mm: f64) -> Self {
+        let wire = AcceptedWire { rod, friction: 0.0, moving_share: 1.0, offset_mm: Vector3::zeros() };
+        Self::new(&wire, &[], diameter_mm)
+    }
+
+    /// Of another wire than the calibration's, whose diameter has a relative standard deviation.
+    pub fn with_tolerance(self, diameter_share: Option<f64>) -> Self {
+        Self { tolerance: diameter_share, ..self }
+    }
+
+    /// Relative standard deviation of the stiffness, which goes with the fourth power of the diameter.
+    pub fn stiffness_sd(&self) -> f64 {
+        4.0 * self.tolerance.unwrap_or(0.0)
+    }
+
+    /// Columns of what all readings of a record share, N mm by one standard deviation of each: the calibration's unknowns, the zero, and the
+    /// stiffness of another wire, which scales all moments of a held wire.
+    pub fn shared_columns(&self, m: &Moments) -> Vec<[f64; 2]> {
+        let zero = m.zero_nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l());
+        let zero = zero.column_iter().map(|c| [c[0], c[1]]).collect::<Vec<_>>();
+        let stiffness = (self.stiffness_sd() > 0.0).then(|| m.moment_nmm.map(|m| self.stiffness_sd() * m));
+        m.shared_nmm.iter().copied().chain(zero).chain(stiffness).collect()
+    }
+
+    /// As one that is touched at one place, whatever touches it.
+    ///
+    /// # Errors
+    /// Where it cannot be bent.
+    pub fn touched(&self) -> Result<TouchedWire, ContactError> {
+        Ok(TouchedWire::new(&self.rod, self.diameter_mm, &MomentAxes::default())?)
+    }
+
+    /// The places that moments alone allow.
+    ///
+    /// # Errors
+    /// As for `touched`.
+    pub fn static_inverse(&self) -> Result<StaticInverse, ContactError> {
+        Ok(StaticInverse::of_rod(&self.rod, self.diameter_mm, InverseGrid::coarse())?)
+    }
+
+    /// Middle of the free wire, mm.
+    pub fn middle_mm(&self) -> Vector3<f64> {
+        self.field.free(0.5 * self.field.length_mm()).0
+    }
+}

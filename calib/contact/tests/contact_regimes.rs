@@ -1,0 +1,226 @@
+//! Acceptance of the tracker along a known motion: regions and weights of the regimes on contacts that stay, creep and slide, along a reversed
+//! motion, and on a wire of another diameter (SIMULATED; seeds on which nothing was chosen).
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test that fails should say where, and one that measures says what it found"
+)]
+
+use nalgebra::{Matrix2, Rotation3, Vector2, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use rayon::prelude::*;
+use wcal_contact::calibrated_wire::CalibratedWire;
+use wcal_contact::estimator::{Contact, Estimator};
+use wcal_contact::known_motion::MomentField;
+use wcal_contact::known_motion_stream::MotionAccuracy;
+use wcal_contact::known_motion_table::KnownMotionTable;
+use wcal_contact::reading::{Moments, Reading, RowMotion};
+use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_plant::sweep::SweepCase;
+use wcal_rod::Rod;
+
+const NOISE_NMM: f64 = 1e-3;
+const MOVED_SD_MM: f64 = 0.002;
+/// Squared radius of the 95 % region of three Gaussian numbers.
+const CHI2_95: f64 = 7.815;
+/// Presses of a family, and sweeps.
+const PRESSES: u64 = 24;
+const SWEEPS: u64 = 4;
+/// Seeds: none of them was looked at when anything was chosen.
+const SEED: u64 = 41_000;
+/// Relative standard deviation of another wire's diameter, and of the moments by it.
+const DIAMETER_SHARE: f64 = 0.01;
+/// Free readings that the zero of a sweep is the mean of, standard deviation of its drift (N mm), and error of its map, relative.
+const ZERO_READINGS: usize = 5;
+const DRIFT_NMM: f64 = 0.003;
+const MAP_SHARE: f64 = 0.003;
+
+/// How a contact moves on what it touches.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Family {
+    Fixed,
+    Creeping,
+    Reversed,
+    OtherWire,
+    Sliding,
+}
+
+/// A reading with the true contact: its place (mm) and its arc length where it is first touched, or now where it slides (mm).
+struct Known {
+    reading: Reading,
+    touch: Option<(Vector3<f64>, f64)>,
+}
+
+fn calibrated(whisker: &WhiskerSpec) -> CalibratedWire {
+    CalibratedWire::of_rod(Rod::new(whisker, 4.0).unwrap(), whisker.diameter_mm)
+}
+
+fn reading(
+    k: usize,
+    t_s: f64,
+    (moment_nmm, noise_nmm2): ([f64; 2], Matrix2<f64>),
+    (shared_nmm, zero_nmm2): (Vec<[f64; 2]>, Matrix2<f64>),
+    (moved_mm, velocity_mm_s): (Vector3<f64>, Vector3<f64>),
+) -> Reading {
+    let moments = Moments {
+        moment_nmm,
+        sd_nmm: [noise_nmm2[(0, 0)].sqrt(), noise_nmm2[(1, 1)].sqrt()],
+        valid: true,
+        pose_nmm2: noise_nmm2,
+        own_nmm2: Some(noise_nmm2),
+        drift_nmm2: Matrix2::zeros(),
+        zero_nmm2,
+        shared_nmm,
+    };
+    let motion = RowMotion { moved_mm, turn: Rotation3::identity(), velocity_mm_s, piece: 0, push: None };
+    Reading { motion: Ok(motion), ..Reading::alone(k as i64, t_s, Some(moments)) }
+}
+
+/// A point pressed along z from 1 mm before the wire to 5 mm past it.
+fn press(field: &MomentField, family: Family, seed: u64) -> Vec<Known> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let (s_mm, turn): (f64, f64) =
+        (rng.random_range(16.0..50.0), rng.random_range(0.0..std::f64::consts::TAU));
+    let creep = if family == Family::Creeping { rng.random_range(0.02..0.3) } else { 0.0 };
+    let thicker: f64 = DIAMETER_SHARE * rng.sample::<f64, _>(StandardNormal);
+    let stiffer = if family == Family::OtherWire { (1.0 + thicker).powi(4) } else { 1.0 };
+    let way = if family == Family::Reversed { -1.0 } else { 1.0 };
+    // What the tracker calls unknown is drawn: the gap, and the motion's jitter.
+    let mut normal = |sd: f64| -> f64 { sd * rng.sample::<f64, _>(StandardNormal) };
+    let (wire, tangent) = field.free(s_mm);
+    let touch = wire + tangent.cross(&Vector3::z()).normalize() * normal(0.5);
+    let goes_on = Vector3::new(turn.cos(), turn.sin(), 0.0) * creep;
+    let one = |k: usize| {
+        let depth = 0.12 * k as f64 - 1.0;
+        let held = (depth > 0.0).then(|| touch + Vector3::z() * depth + goes_on * depth);
+        let moment = held.map_or([0.0; 2], |p| field.held(&p, 0.0).unwrap().moment_nmm);
+        let read = moment.map(|m| stiffer * m + normal(NOISE_NMM));
+        let noise = Matrix2::identity() * NOISE_NMM * NOISE_NMM;
+        let jitter = Vector3::from_fn(|_, _| normal(MOVED_SD_MM));
+        let motion = (Vector3::z() * depth * way + jitter, Vector3::z() * 1.2 * way);
+        let shared = (Vec::new(), Matrix2::zeros());
+        Known {
+            reading: reading(k, 0.1 * k as f64, (read, noise), shared, motion),
+            touch: held.map(|p| (p, s_mm)),
+        }
+    };
+    (0..50).map(one).collect()
+}
+
+/// A sweep of the independent plant under its true map.
+fn sweep(case: &SweepCase) -> Vec<Known> {
+    let bench = &case.scene.bench;
+    let [[a, b], [c, d]] = bench.k;
+    let nmm_per_pm = Matrix2::new(a, b, c, d).try_inverse().unwrap();
+    let moment = |k: usize| {
+        let pm = [0, 1].map(|c| 1e3 * (case.readings[k].fbg_nm[c] - bench.nominal_nm[c]));
+        nmm_per_pm * Vector2::from(pm)
+    };
+    let zero = (0..ZERO_READINGS).map(moment).sum::<Vector2<f64>>() / ZERO_READINGS as f64;
+    let noise_nmm2 = nmm_per_pm * nmm_per_pm.transpose() * case.scene.noise_pm.powi(2);
+    let zero_nmm2 = noise_nmm2 / ZERO_READINGS as f64 + Matrix2::identity() * DRIFT_NMM * DRIFT_NMM;
+    let one = |k: usize| {
+        let (m, at) = (moment(k) - zero, &case.readings[k]);
+        let share = m * MAP_SHARE;
+        let map = vec![[share.x, 0.0], [0.0, share.x], [share.y, 0.0], [0.0, share.y]];
+        let velocity = -case.scene.direction * case.scene.speed_mm_s;
+        Known {
+            reading: reading(k, at.t_s, (m.into(), noise_nmm2), (map, zero_nmm2), (-at.base_mm, velocity)),
+            touch: at.touch.as_ref().map(|t| (t.axis_mm, t.arclength_mm)),
+        }
+    };
+    (0..case.readings.len()).map(one).collect()
+}
+
+fn whisker(case: &SweepCase) -> WhiskerSpec {
+    let b = &case.scene.bench;
+    let rest_shape = RestShape::StraightArc {
+        straight_mm: b.straight_mm,
+        arc_radius_mm: b.arc_radius_mm,
+        length_mm: b.length_mm,
+    };
+    WhiskerSpec {
+        diameter_mm: b.diameter_mm,
+        youngs_gpa: b.youngs_gpa,
+        shear_gpa: b.shear_gpa,
+        density_kg_m3: None,
+        rest_shape,
+        gravity_direction: None,
+    }
+}
+
+/// What the tracker states of the readings of one record.
+#[derive(Default)]
+struct Stated {
+    /// By reading in contact whether the ellipsoid in space holds the true place, whether the region along the wire holds its arc length, and
+    /// the standard deviation in space, mm.
+    rows: Vec<(bool, bool, f64)>,
+    /// Largest weight of the family over the contacts.
+    weight: f64,
+}
+
+fn tracked(wire: CalibratedWire, record: &[Known], family: Family) -> Stated {
+    let accuracy = MotionAccuracy { moved_sd_mm: MOVED_SD_MM, clock_sd_s: 0.0 };
+    let mut table = KnownMotionTable::new(wire, accuracy, false).unwrap();
+    record.iter().for_each(|k| assert!(table.push(&k.reading).unwrap().is_empty()));
+    let found = table.finish().unwrap();
+    let one = |(contact, known): (&Contact, &Known)| {
+        let (estimate, (place, s_mm)) = contact.estimate.zip(known.touch)?;
+        let (off, covariance) = (estimate.place_mm - place, estimate.covariance_mm2);
+        let inside = covariance.cholesky().is_some_and(|c| off.dot(&c.solve(&off)) <= CHI2_95);
+        let held = contact.regions.iter().any(|r| (r.from_mm - 1e-9..=r.to_mm + 1e-9).contains(&s_mm));
+        Some((inside, held, covariance.trace().sqrt()))
+    };
+    let rows = found.iter().zip(record).filter_map(one).collect();
+    let contacts = table.findings().document.contacts.unwrap();
+    let own = match family {
+        Family::Fixed | Family::OtherWire => "fixed",
+        Family::Creeping => "creeping",
+        Family::Reversed => "reversed",
+        Family::Sliding => "sliding",
+    };
+    let weight = contacts.iter().map(|c| c.weights.as_ref().unwrap()[own]).fold(0.0, f64::max);
+    Stated { rows, weight }
+}
+
+/// Shares of the readings that ellipsoids and regions hold, the median standard deviation (mm), and how many records have the right regime.
+fn judged(family: Family, tolerance: f64) -> [f64; 4] {
+    let tolerance = (family == Family::OtherWire && tolerance > 0.0).then_some(tolerance);
+    let wire = calibrated(&WhiskerSpec::nominal()).with_tolerance(tolerance);
+    let one = |k: u64| match family {
+        Family::Sliding => {
+            let case = SweepCase::draw(SEED + 500 + k).unwrap();
+            tracked(calibrated(&whisker(&case)), &sweep(&case), family)
+        }
+        _ => tracked(wire.clone(), &press(&wire.field, family, SEED + 100 * family as u64 + k), family),
+    };
+    let records = if family == Family::Sliding { SWEEPS } else { PRESSES };
+    let all: Vec<Stated> = (0..records).into_par_iter().map(one).collect();
+    let mut sds: Vec<f64> = all.iter().flat_map(|s| s.rows.iter().map(|r| r.2)).collect();
+    sds.sort_by(f64::total_cmp);
+    let n = sds.len().max(1) as f64;
+    let share = |of: fn(&(bool, bool, f64)) -> bool| {
+        all.iter().flat_map(|s| &s.rows).filter(|r| of(r)).count() as f64 / n
+    };
+    let right = all.iter().filter(|s| s.weight > 0.5).count() as f64 / records as f64;
+    let found = [share(|r| r.0), share(|r| r.1), sds.get(sds.len() / 2).copied().unwrap_or(f64::NAN), right];
+    println!(
+        "SIMULATED {family:?}: {records} records, {n} readings: in space {:.3}, along the wire {:.3}, sd median {:.3} mm, right regime {:.2}",
+        found[0], found[1], found[2], found[3]
+    );
+    found
+}
+
+#[test]
+fn regions_hold_and_the_regime_is_told_in_every_family() {
+    for family in [Family::Fixed, Family::Creeping, Family::Reversed, Family::OtherWire, Family::Sliding] {
+        let [in_space, along, _, right] = judged(family, DIAMETER_SHARE);
+        // 24 presses, or four sweeps, of which each is held or not: the goal is 0.92 to 0.97 and 0.9, measured in the lab notes.
+        assert!(in_space > 0.85 && along > 0.7 && right > 0.8, "{family:?}: {in_space} {along} {right}");
+    }
+    // Control: a foreign wire that is taken for the calibration's own is mostly lost.
+    let [in_space, ..] = judged(Family::OtherWire, 0.0);
+    assert!(in_space < 0.5, "{in_space}");
+}

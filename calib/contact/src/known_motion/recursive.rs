@@ -32,6 +32,7 @@
 mod node;
 
 use super::contact_path::{BEFORE_MM, ContactPath, creep_mm, loaded};
+use super::episode::CorrelatedNoise;
 use super::posterior;
 use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings, TABLE_MM};
 use nalgebra::{Matrix2, Rotation3, Vector3};
@@ -52,61 +53,6 @@ const REFINED_LN: f64 = 8.0;
 const NO_MASS: f64 = 14.0;
 /// Neighbouring nodes differ by no more than this in their logarithm where there is mass.
 const MAX_STEP_LN: f64 = 1.0;
-
-/// Noise of which successive readings share part.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum CorrelatedNoise {
-    /// Noise from pose to pose, beside each reading's own: readings at poses near each other share one draw.
-    ByPose {
-        /// Covariance, (N mm)^2.
-        covariance_nmm2: Matrix2<f64>,
-        /// Displacement over which a draw is forgotten (correlation `exp(-d / length)`), mm.
-        length_mm: f64,
-    },
-    /// A share of each reading's noise is a first-order Gauss-Markov process.
-    InTime {
-        /// Share of the noise variance, 0 to 1.
-        variance_share: f64,
-        /// Time constant, s.
-        time_constant_s: f64,
-    },
-}
-
-impl CorrelatedNoise {
-    /// F_k: what one unit of the draw makes of a reading's moments; none where the noise is no covariance.
-    fn factor(&self, row: &MotionRow) -> Option<Matrix2<f64>> {
-        match self {
-            Self::ByPose { .. } => Some(Matrix2::identity()),
-            Self::InTime { variance_share, .. } => {
-                Some(row.noise_nmm2.cholesky()?.l() * variance_share.sqrt())
-            }
-        }
-    }
-
-    /// B: covariance of a draw.
-    fn draw(&self) -> Matrix2<f64> {
-        match self {
-            Self::ByPose { covariance_nmm2, .. } => *covariance_nmm2,
-            Self::InTime { .. } => Matrix2::identity(),
-        }
-    }
-
-    /// A reading's noise beside it, (N mm)^2.
-    fn own_nmm2(&self, row: &MotionRow) -> Matrix2<f64> {
-        match self {
-            Self::ByPose { .. } => row.noise_nmm2,
-            Self::InTime { variance_share, .. } => row.noise_nmm2 * (1.0 - variance_share),
-        }
-    }
-
-    /// Correlation of two successive readings.
-    fn correlation(&self, moved_mm: f64, passed_s: f64) -> f64 {
-        match self {
-            Self::ByPose { length_mm, .. } => (-moved_mm / length_mm.max(1e-9)).exp(),
-            Self::InTime { time_constant_s, .. } => (-passed_s.abs() / time_constant_s.max(1e-9)).exp(),
-        }
-    }
-}
 
 impl Settings {
     /// Whether a reading is loaded beyond its noise, the pose's included.

@@ -18,6 +18,7 @@
 //! of outliers is that of G. E. P. Box, G. C. Tiao, Biometrika 55 (1968) 119.
 
 mod likelihood;
+mod model;
 
 use super::exp::exp;
 use super::grid_cell::{GridCell, LinearGaussianPair, MAX_MAHALANOBIS2, MAX_TRUNCATED_SDS, MomentSums};
@@ -26,6 +27,8 @@ use super::sample_geometry::{ContactState, SampleGeometry};
 use super::settings::BayesSettings;
 use crate::inverse::{InverseSolution, StaticInverse};
 use likelihood::{ConstraintResidual, laplace_pdf};
+use model::BaseStep;
+pub(super) use model::TransitionModel;
 use statrs::function::erf::erfc;
 use std::f64::consts::SQRT_2;
 
@@ -48,18 +51,6 @@ const MIN_JUMP_WEIGHT_OF_ROW: f64 = 0.01;
 /// Probability to pass the end of the wire below which nothing does.
 const MIN_PAST_END: f64 = 1e-4;
 
-/// Inverse solutions of two samples, with their derivatives.
-pub(super) struct TransitionModel<'a> {
-    settings: &'a BayesSettings,
-    inverse: &'a StaticInverse,
-    before: SampleGeometry<'a>,
-    now: SampleGeometry<'a>,
-    /// Nodes from here on are the tip's.
-    first_tip: usize,
-    /// Density of a jump's path along the wire over the length of a node, by the nodes that it passes, from `-first_tip`.
-    jump_paths: Vec<f64>,
-}
-
 /// A step of the object with what is known of it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct KnownStep {
@@ -81,26 +72,6 @@ impl KnownStep {
         let object = ObjectStep::past_base(travel_mm);
         Self { object, travel_mm, travel_sd_mm, onward_mm: travel_mm.abs(), sweep: true }
     }
-}
-
-/// What one step of the base allows.
-struct BaseStep {
-    /// Motion of the object.
-    object: ObjectStep,
-    sweep: bool,
-    /// Length of the displacement, mm, its variance where the speed is one of several, and its part along the motion before.
-    travel_mm: f64,
-    travel_variance_mm2: f64,
-    onward_mm: f64,
-    /// Part of the force along the surface against a slip, f = mu / sqrt(1 + mu^2), and its variance.
-    drag: f64,
-    drag_variance: f64,
-    /// Variances of the path along the wire, mm^2, and of the turn at the tip, rad^2: constant velocity, perturbed, reset.
-    path_variances: [f64; 3],
-    tip_variances: [f64; 3],
-    /// Reach along the wire, mm, and scale of paths beyond its end, mm.
-    reach_mm: f64,
-    path_sd_mm: f64,
 }
 
 /// Distance of two nodes on the wire, mm.

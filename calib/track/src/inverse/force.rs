@@ -8,7 +8,7 @@
 //!
 //! Source: C. G. Broyden, Mathematics of Computation 19 (1965) 577. J is recomputed by central differences where the residual falls slowly.
 
-use super::{InverseGrid, TableEntry};
+use super::grid::{InverseGrid, TableEntry};
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use std::f64::consts::TAU;
 use wcal_rod::{DiscreteRod, PointLoad};

@@ -12,7 +12,7 @@
 use super::super::exp::exp;
 use super::super::grid_cell::LinearGaussianPair;
 use super::super::sample_geometry::ContactState;
-use super::{BaseStep, TransitionModel};
+use super::model::{BaseStep, TransitionModel};
 use nalgebra::Vector3;
 
 /// Residual of the rigid-body constraint from a contact before to a node now.

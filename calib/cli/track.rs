@@ -186,7 +186,7 @@ fn trusted(args: &TrackArgs, checked: &[CheckedCalibration]) -> bool {
     if checked.iter().any(|c| !c.doubts.none()) && !args.force {
         return false;
     }
-    checked.iter().for_each(|one| say_contact_uncertainty(one.name(), one.file()));
+    checked.iter().for_each(|one| say_calibration(one.name(), one.file()));
     true
 }
 
@@ -204,10 +204,13 @@ fn trackers(folders: &BTreeMap<String, PathBuf>) -> Result<BTreeMap<PathBuf, Tra
 }
 
 /// Says at the start what a calibration makes of a contact, where it knows; `whisker` is its name among several, or empty.
-fn say_contact_uncertainty(whisker: &str, file: &CalibrationFile<CalibrationModel>) {
+fn say_calibration(whisker: &str, file: &CalibrationFile<CalibrationModel>) {
     let whose = if whisker.is_empty() { String::new() } else { format!("whisker {whisker}: ") };
     if let Some(contact) = &file.contact_uncertainty {
         eprintln!("{whose}{}", contact_sentence(contact));
+    }
+    if file.verification == wcal_core::VerificationStatus::Reverified {
+        eprintln!("{whose}verified on sealed readings that another decision had met before");
     }
 }
 

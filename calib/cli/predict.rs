@@ -41,6 +41,18 @@ pub struct PredictArgs {
     pub json: bool,
 }
 
+/// Whoever sees a sealed table has seen it: written down before anything of it is given.
+///
+/// # Errors
+/// Where that cannot be written.
+pub fn record_if_sealed(table: &Path, out: &Path) -> anyhow::Result<()> {
+    if SessionLedger::of_table(table, out, &provenance([table]))? {
+        let table = table.display();
+        eprintln!("warning: {table} is sealed; that it was opened is recorded in unsealed.json");
+    }
+    Ok(())
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -53,13 +65,7 @@ pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     for warning in odd {
         eprintln!("warning: {warning}");
     }
-    // Whoever sees a sealed table has seen it.
-    if SessionLedger::of_table(&args.table, &args.out, &provenance([args.table.as_path()]))? {
-        eprintln!(
-            "warning: {} is sealed; that it was opened is recorded in unsealed.json",
-            args.table.display()
-        );
-    }
+    record_if_sealed(&args.table, &args.out)?;
     if file.verification == VerificationStatus::Reverified {
         eprintln!(
             "note: the calibration was verified on sealed readings that another decision had met before"

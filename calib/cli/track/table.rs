@@ -228,6 +228,7 @@ pub fn track(
     let mut track = WhiskerTrack::new(facts, (of.frame, of.estimator), of.tare_s, of.followed);
     track.know_groove(of.groove);
     track.know_object(passed_object(source, radius_mm)?);
+    crate::predict::record_if_sealed(source, &args.out)?;
     let mut files = output::create(&args.out)?;
     let mut unusable = 0;
     for reading in of.readings {

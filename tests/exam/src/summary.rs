@@ -82,6 +82,7 @@ fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
     let one_gross = pick(&|o| o.noise == Noise::OneGross.name());
     let answered = pick(&|o| whisker(o) && (o.label == "null" || o.delta >= 6.0));
     let right = |o: &Outcome| o.kind == Kind::Right;
+    let rejected = |o: &Outcome| o.verdict != "adequate";
     let wrong = |o: &Outcome| matches!(o.kind, Kind::Wrong | Kind::Part);
     let ratios = || answered.iter().filter_map(|o| o.after_ratio).collect::<Vec<_>>();
     let oracle = || answered.iter().map(|o| o.oracle_ratio).collect::<Vec<_>>();
@@ -94,6 +95,8 @@ fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
             |o| o.verdict == "unknown-effect",
             Side::None,
         ),
+        // What the program's error budget (`levels.rs` of wcal-trace) allows.
+        share("every noise: nulls not called adequate", "<= 2.5 %", &nulls, rejected, Side::AtMost(0.025)),
         share("every noise: refused", "none of these", &answered, refused, Side::NoneOfThem),
         share("every noise: singles >= 8 sigma right", ">= 93 %", &singles, right, Side::AtLeast(0.93)),
         share("every noise: singles >= 8 sigma, wrong name", "<= 1 %", &singles, wrong, Side::AtMost(0.01)),
@@ -123,6 +126,7 @@ fn noise_goals(outcomes: &[Outcome]) -> Vec<Goal> {
             |o| o.verdict == "unknown-effect",
             Side::None,
         ),
+        share("lines: nulls not called adequate", "<= 2.5 %", &lines, rejected, Side::AtMost(0.025)),
         share("lines: singles >= 8 sigma right", "-", &line_singles, right, Side::None),
         share("lines: singles >= 8 sigma, wrong name", "-", &line_singles, wrong, Side::None),
     ]

@@ -237,7 +237,7 @@ mod tests {
     fn a_fold_s_own_readings_have_no_part_in_what_it_chooses() {
         let x: Vec<f64> = (0..100).map(|i| (i % 10) as f64 / 4.5 - 1.0).collect();
         let clean: Vec<f64> =
-            x.iter().enumerate().map(|(i, x)| if i / 10 == 3 { 5.0 * x } else { 0.0 }).collect();
+            x.iter().enumerate().map(|(i, x)| if i / 10 == 3 { 12.0 * x } else { 0.0 }).collect();
         for seed in 0..10 {
             let system = ColumnsSystem::new(seed, vec![x.clone()], &clean);
             let of = |terms: &[crate::EffectTerm]| {

@@ -182,7 +182,7 @@ pub(super) mod tests {
     use wcal_track::inverse::InverseGrid;
 
     /// A coarse table, and a sweep over a built-in object.
-    pub(in crate::train) fn swept(object: &str) -> (StaticInverse, Vec<SweepSeries>) {
+    pub(crate) fn swept(object: &str) -> (StaticInverse, Vec<SweepSeries>) {
         let whisker = WhiskerSpec::nominal();
         let grid = InverseGrid { step_mm: 2.0, refine: 1, tilts: 3, ..InverseGrid::default() };
         let plan = SweepPlan { rate_hz: 10.0, ..SweepPlan::default() };

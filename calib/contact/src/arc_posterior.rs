@@ -10,7 +10,7 @@ pub const REGION: f64 = 0.95;
 /// Cells between two nodes whose density is known: fewest, most, and their width between, mm; least width of any cell, mm.
 const PARTS: [f64; 2] = [8.0, 32.0];
 const PART_MM: f64 = 0.02;
-const LEAST_MM: f64 = 1e-3;
+const MIN_MM: f64 = 1e-3;
 /// Ends of cells nearer than this are one, mm.
 const SAME_MM: f64 = 1e-6;
 /// Relative rounding of masses and densities.
@@ -29,7 +29,7 @@ pub struct Region {
 
 impl Region {
     fn density(&self) -> f64 {
-        self.probability / (self.to_mm - self.from_mm).max(LEAST_MM)
+        self.probability / (self.to_mm - self.from_mm).max(MIN_MM)
     }
 }
 
@@ -59,7 +59,7 @@ impl ArcDensity {
     pub fn of_logarithms(places_mm: &[f64], ln: &[f64]) -> Self {
         let best = ln.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         if let [place] = places_mm {
-            let (from_mm, to_mm) = (place - 0.5 * LEAST_MM, place + 0.5 * LEAST_MM);
+            let (from_mm, to_mm) = (place - 0.5 * MIN_MM, place + 0.5 * MIN_MM);
             return Self(vec![Region { from_mm, to_mm, probability: 1.0 }]);
         }
         let parts = |k: usize| ((places_mm[k + 1] - places_mm[k]) / PART_MM).ceil().clamp(PARTS[0], PARTS[1]);

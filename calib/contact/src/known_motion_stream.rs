@@ -15,7 +15,7 @@ use crate::known_motion::{
 };
 use crate::reading::{Moments, Reading, RowMotion};
 use crate::regimes::{
-    ANY_OBJECT, Alternative, CREEP_SDS, GROOVE, LEAST_WEIGHT, Regime, RegimeWeights, anywhere_evidence,
+    ANY_OBJECT, Alternative, CREEP_SDS, GROOVE, MIN_WEIGHT, Regime, RegimeWeights, anywhere_evidence,
     averaged, creeping_evidence, point_evidence,
 };
 use crate::sliding::{Blocks, SlidingStream, reversed};
@@ -231,7 +231,7 @@ impl KnownMotionStream {
         if touch.sliding.is_none() && (found.disagrees || touch.weights.of(Regime::Fixed) < 0.5) {
             touch.sliding = Some(SlidingStream::new(self.wire.touched()?, &std::mem::take(&mut touch.rows)));
         }
-        Ok(slid.filter(|_| touch.weights.of(Regime::Sliding) > LEAST_WEIGHT))
+        Ok(slid.filter(|_| touch.weights.of(Regime::Sliding) > MIN_WEIGHT))
     }
 
     fn messages(&self) -> Vec<Message> {

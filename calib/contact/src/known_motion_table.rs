@@ -12,7 +12,7 @@ use crate::known_motion::{
 use crate::known_motion_stream::MotionAccuracy;
 use crate::reading::Reading;
 use crate::regimes::{
-    ANY_OBJECT, Alternative, LEAST_WEIGHT, Regime, RegimeWeights, SWEPT_OBJECT, anywhere_evidence, averaged,
+    ANY_OBJECT, Alternative, MIN_WEIGHT, Regime, RegimeWeights, SWEPT_OBJECT, anywhere_evidence, averaged,
     creeping_evidence, point_evidence,
 };
 use crate::sliding::{SlidingContact, TouchedWire, locate_sliding, reversed};
@@ -103,7 +103,7 @@ impl TableContact {
             all.push(Alternative { weight, place: found.places[k].clone(), arc });
         }
         let weight = self.weights.of(Regime::Sliding);
-        if let Some((place, arc)) = self.slid(rows, k).filter(|_| weight > LEAST_WEIGHT) {
+        if let Some((place, arc)) = self.slid(rows, k).filter(|_| weight > MIN_WEIGHT) {
             all.push(Alternative { weight, place, arc });
         }
         if let Some(alone) = alone.filter(|_| loaded(&rows[k])) {
@@ -255,7 +255,7 @@ impl KnownMotionTable {
         };
         let may_be = |regime: &Regime| {
             let is_point = *regime != Regime::Reversed || at_reversed_point;
-            *regime == likelier || (is_point && weights.of(*regime) > LEAST_WEIGHT)
+            *regime == likelier || (is_point && weights.of(*regime) > MIN_WEIGHT)
         };
         let of = |regime: Regime| {
             let creep_sd = if regime == Regime::Creeping { creep_sd } else { 0.0 };
@@ -355,7 +355,7 @@ impl Estimator for KnownMotionTable {
         let mut alone = StaticArc::new(self.wire.clone());
         for (n, contact) in self.contacts.iter().enumerate() {
             let [from, to] = contact.range;
-            let anywhere = contact.weights.of(Regime::Anywhere) > LEAST_WEIGHT;
+            let anywhere = contact.weights.of(Regime::Anywhere) > MIN_WEIGHT;
             for k in 0..to - from {
                 let alone = anywhere.then_some(&mut alone);
                 let stated = contact.stated(&self.rows[from..to], k, alone)?;

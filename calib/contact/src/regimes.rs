@@ -26,7 +26,7 @@ pub const CREEP_SDS: [f64; 2] = [0.03, 0.15];
 /// T: the power of the evidence.
 const POWER: f64 = 0.8;
 /// A regime of less weight is left out of what is stated.
-pub const LEAST_WEIGHT: f64 = 1e-3;
+pub const MIN_WEIGHT: f64 = 1e-3;
 
 /// A way in which a contact may move.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -4,7 +4,7 @@ use crate::arc_posterior::Region;
 use crate::known_motion::contact_stream::FinishedEpisode;
 use crate::known_motion::{EpisodeEstimate, Innovations, Posterior};
 use crate::mesh_score::MeshScore;
-use crate::regimes::{LEAST_WEIGHT, REGIMES, Regime, RegimeWeights};
+use crate::regimes::{MIN_WEIGHT, REGIMES, Regime, RegimeWeights};
 use crate::sliding::SlidingContact;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -222,8 +222,8 @@ impl ContactDocument {
         readings: usize,
     ) -> Self {
         let own = Self::new(&point.innovations, readings);
-        let at_a_point = weights.at_a_point() > 1.0 - LEAST_WEIGHT;
-        let may_slide = weights.of(Regime::Sliding) > LEAST_WEIGHT;
+        let at_a_point = weights.at_a_point() > 1.0 - MIN_WEIGHT;
+        let may_slide = weights.of(Regime::Sliding) > MIN_WEIGHT;
         Self {
             regions: point.posterior.as_ref().map(Posterior::regions).filter(|_| at_a_point),
             from_s: Some(from_s),

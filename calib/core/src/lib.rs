@@ -36,8 +36,6 @@ pub use observation::{
     SessionShapes, Trajectory, TransducerData, TransducerModel, TransducerRow, TwinLabel, WhiskerData,
     WhiskerRow, WhiskerSpec,
 };
-/// By its former name, until the imports of `wcal-trace` have the new one.
-pub use order_statistics as median;
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;
 pub use sealed::{Decide, Labelled, Ledger, Look, Opened, Opening, RowLabel, Sealed};

@@ -14,6 +14,7 @@ use wcal_core::{Role, SessionData, VerificationStatus, WhiskerData, WhiskerRow};
 use wcal_map::{FitOptions, MapTraining, document, fit_map, test_rest};
 use wcal_session::load;
 use wcal_trace::whisker::sensitivity::lost_sensitivity;
+use wcal_trace::whisker::twin_check::label_faults;
 
 /// Arguments of `wcal fit-gpr`.
 #[derive(Debug, Args)]
@@ -82,7 +83,13 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
     let default = if data.twin.is_empty() { LabelSource::Rod } else { LabelSource::Twin };
     let progress = Progress::new("fit-gpr");
     progress.stage("moments of the poses");
-    let labels = moment_labels(data, args.labels.unwrap_or(default))?;
+    let source = args.labels.unwrap_or(default);
+    let labels = moment_labels(data, source)?;
+    // The rod at the same poses is a second measurement of the moments.
+    let faults = if source == LabelSource::Twin { label_faults(data)? } else { Vec::new() };
+    for fault in &faults {
+        eprintln!("warning: {} labels of {}: {}", fault.points.len(), labels.source, fault.detail);
+    }
     let (mut training, unlabelled) = training_set(data, &labels);
     for point in &unlabelled {
         eprintln!("warning: point {point} has no label in {}; not fitted", labels.source);
@@ -130,7 +137,10 @@ pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
         eprintln!("warning: {warning}");
     }
     let left_out = result.rest.as_ref().is_some_and(|r| r.left_out);
-    let matters = !result.identifiability.warnings.is_empty() || !unlabelled.is_empty() || left_out;
+    let matters = !result.identifiability.warnings.is_empty()
+        || !unlabelled.is_empty()
+        || !faults.is_empty()
+        || left_out;
     Ok(ExitCode::from(if matters { 3 } else { 0 }))
 }
 

@@ -175,7 +175,7 @@ fn refuse_unusable(args: &VerifyArgs, mut out: OutputFolder<'_>, why: SessionErr
 
 /// Exit code of a result; `doubtful` where the session was read with warnings.
 pub fn exit_code(verify: &VerifyDocument, doubtful: bool) -> ExitCode {
-    let doubtful = doubtful || verify.after_trimmed.is_some();
+    let doubtful = doubtful || verify.after_trimmed.is_some() || !verify.cautions.is_empty();
     ExitCode::from(match verify.verdict {
         Verdict::Refused => 1,
         Verdict::Ambiguous | Verdict::UnknownEffect | Verdict::TwinFault => 4,

@@ -80,6 +80,9 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     let but = if contradicted { ", but the sealed readings contradict it" } else { "" };
     println!("{}{}: {}{but}", v.session, word(v.simulated), verdict.as_str().unwrap_or_default());
     println!("  {}", v.reason);
+    for caution in &v.cautions {
+        println!("  caution: {caution}");
+    }
     for f in &v.twin.faults {
         let points: Vec<String> = f.points.iter().map(ToString::to_string).collect();
         println!("  twin fault ({}): points {}: {}", f.kind, points.join(", "), f.detail);

@@ -94,6 +94,9 @@ pub struct VerifyDocument {
     pub seed: u64,
     /// Files read.
     pub inputs: Vec<InputFile>,
+    /// What limits the use of the result although nothing contradicts it; where one stands, the exit code is 3. Absent without any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cautions: Vec<String>,
     /// Remarks: what was absent, what was marked and kept.
     pub notes: Vec<String>,
     /// What each accepted effect is worth; absent without one.

@@ -2,6 +2,7 @@
 
 use super::fit::{Fit, Weights};
 use super::linear::Basis;
+use super::settings::settings;
 use super::signature::{Signature, build};
 use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
@@ -145,10 +146,8 @@ const MAX_CYCLES: f64 = 30.0;
 /// in step, up to the Nyquist limit of its places. Of uneven places that is the mean limit, (places - 1) / 2 cycles: beyond it a wave is told
 /// from its aliases by the unevenness alone.
 fn waves(unit: &[f64]) -> impl Iterator<Item = f64> {
-    let mut places = unit.to_vec();
-    places.sort_by(f64::total_cmp);
-    places.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
-    let limit = MAX_CYCLES.min(0.5 * (places.len() as f64 - 1.0));
+    let last = settings(unit).into_iter().max().unwrap_or(0);
+    let limit = MAX_CYCLES.min(0.5 * last as f64);
     (3..).map(|half| 0.5 * f64::from(half)).take_while(move |cycles| *cycles <= limit)
 }
 

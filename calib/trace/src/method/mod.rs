@@ -24,6 +24,7 @@ pub mod range_check;
 mod refine;
 pub mod search;
 pub mod search_result;
+pub mod settings;
 pub mod signature;
 mod socp;
 pub mod subsets;

@@ -88,7 +88,7 @@ fn row<M: SessionModel>(model: &M, fit: &Fit, test: &OmnibusTest, effect: usize)
         }
         None => {
             let why = format!(
-                "not identifiable: fully absorbed by {} and the accepted effects, so that it neither harms nor shows here",
+                "not identifiable: fully absorbed by {} and the accepted effects, so that it neither harms nor shows at the inputs that were measured",
                 model.nuisances()
             );
             entry("absorbed", None, unit, why)

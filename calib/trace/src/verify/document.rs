@@ -50,6 +50,7 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         coverage95: errors.coverage95,
         next_measurement: next.flatten(),
         detectable: detect::table(model, fit, test),
+        cautions: model.cautions(&conclusion.accepted).iter().map(|c| model.format_text(c)).collect(),
         notes: notes(model, explained, conclusion, floor, &noise, in_turn),
         leave_one_effect_out: decision.ablations.clone(),
         holdout: assessment.holdout.clone(),

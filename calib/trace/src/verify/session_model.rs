@@ -98,6 +98,10 @@ pub trait SessionText: MeasurementModel {
     }
     /// What takes up a signature of which nothing is left.
     fn nuisances(&self) -> &'static str;
+    /// What limits the use of the accepted model although nothing contradicts it: what no reading tests, what is no measurement.
+    fn cautions(&self, _accepted: &Hypothesis) -> Vec<String> {
+        Vec::new()
+    }
     /// Remarks of this kind of session.
     fn notes(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Vec<String> {
         Vec::new()

@@ -6,8 +6,8 @@ use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 use wcal_core::Sealed;
 
-/// Fewer readings than this are refused.
-const MIN_ROWS: usize = 8;
+/// Fewer readings than this, or than two beyond the coefficients, are refused: a line through three points has one degree of freedom.
+const MIN_ROWS: usize = 4;
 /// The search takes at most this many readings of a session; all are predicted.
 const MAX_ROWS: usize = 1000;
 
@@ -22,8 +22,9 @@ pub(super) fn refusal(
         Declared::Polynomial(degree) => degree + 1,
         Declared::Axis => 1,
     };
-    if points.len() < MIN_ROWS {
-        return Some(format!("{} readings; at least {MIN_ROWS} are needed", points.len()));
+    let least = MIN_ROWS.max(parameters + 2);
+    if points.len() < least {
+        return Some(format!("{} readings; at least {least} are needed", points.len()));
     }
     let rows = &thin(points.to_vec())[..];
     if let Some(why) = not_finite(rows, &()).or_else(|| sealed.refusal(&(), not_finite)) {

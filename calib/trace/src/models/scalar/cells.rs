@@ -10,6 +10,7 @@
 //! And a name is none that rests on one level or one cycle: what a single place shows is a matter of that place.
 
 use super::floor::{level_keys, protocol_keys, replicate_keys};
+use super::frame::ScalarRow;
 use super::system::ScalarSystem;
 use crate::effect::{EffectTerm, LawRequirement};
 use crate::levels::{BETWEEN_STRATA, WITHIN_STRATA};
@@ -66,18 +67,25 @@ fn weighted(values: &[f64], weights: &[f64], cells: &[Vec<usize>], within: bool)
     out
 }
 
-/// Splits what `fit` leaves; readings independent but for their relative spread.
-pub fn split(fit: &Fit, weights: &Weights, cells: &[u64]) -> Split {
+/// Share within cells, in that of the stimulus, below which a column is one of the cell alone: thirty waves over the range change 54 times as much.
+const OF_STIMULUS: f64 = 100.0;
+
+/// Splits what `fit` leaves; readings independent but for their relative spread. Of a stimulus `x` that is read with scatter within cells, what
+/// follows it says nothing there.
+pub fn split(fit: &Fit, weights: &Weights, cells: &[u64], x: &[f64]) -> Split {
     let w = weights.relative();
     let cells = members(cells, w);
+    let norms = |column: &[f64]| [true, false].map(|within| weighted(column, w, &cells, within).norm());
+    let [scatter, size] = norms(x);
+    let negligible = OF_STIMULUS * scatter / size.max(1e-300);
     let of = |within: bool| {
         let mut basis = Basis::default();
         let tangents = fit.raw_tangents.iter().map(|t| t.column(0).clone_owned());
         for column in fit.raw_design.column_iter().map(|c| c.clone_owned()).chain(tangents) {
-            basis.push_beside(
-                &weighted(column.as_slice(), w, &cells, within),
-                weighted(column.as_slice(), w, &cells, false).norm(),
-            );
+            let [inside, whole] = norms(column.as_slice());
+            if !within || inside > negligible * whole {
+                basis.push_beside(&weighted(column.as_slice(), w, &cells, within), whole);
+            }
         }
         let left = weighted(fit.raw_residual.column(0).clone_owned().as_slice(), w, &cells, within);
         (basis.project_off(&left).norm_squared(), basis.rank() as f64)
@@ -120,9 +128,9 @@ struct Strata {
 
 impl Strata {
     /// A term gains where it says something of its own: within cells, or for a law of the stimulus between them.
-    fn explains_between_strata(&self, with: &Fit, without: &Fit, weights: &Weights, by_clock: bool) -> bool {
+    fn explains_between_strata(&self, fits: [&Fit; 2], weights: &Weights, by_clock: bool, x: &[f64]) -> bool {
         let cells = if by_clock { &self.protocol } else { &self.cells };
-        let (with, without) = (split(with, weights, cells), split(without, weights, cells));
+        let [with, without] = fits.map(|fit| split(fit, weights, cells, x));
         extra_sum_of_squares_p(without.within, with.within) < WITHIN_STRATA
             || (!by_clock && extra_sum_of_squares_p(without.between, with.between) < BETWEEN_STRATA)
     }
@@ -153,7 +161,6 @@ impl ScalarSystem {
     /// level or one cycle.
     pub fn unidentified_term(&self, h: &Hypothesis) -> Option<NotIdentified> {
         let strata = self.strata(h);
-        let levels = self.levels(&h.weights);
         let cycles = self.cycles(&h.weights);
         (0..h.fit.terms.len()).find_map(|k| {
             let (term, without) = (&h.fit.terms[k], h.without(self, |j, _| j == k)?.fit);
@@ -167,12 +174,18 @@ impl ScalarSystem {
                 return why("a bend of fewer periods describes the readings as well".to_owned());
             }
             if let Some(strata) = &strata
-                && !strata.explains_between_strata(&h.fit, &without, &h.weights, by_clock)
+                && !strata.explains_between_strata(
+                    [&h.fit, &without],
+                    &h.weights,
+                    by_clock,
+                    &self.frame.read_u,
+                )
             {
                 return why(if by_clock { REPEATS } else { AS_A_TABLE }.to_owned());
             }
+            let (levels, value) = self.levels(term, &h.weights);
             if let Some(level) = influential_set(&h.fit, &without, &levels) {
-                return why(format!("it rests on one level ({})", self.frame.rows[levels[level][0]].x));
+                return why(format!("it rests on one level ({})", value(&self.frame.rows[levels[level][0]])));
             }
             // A cycle is a stretch of the clock: a law over the clock may live in one.
             let cycle = influential_set(&h.fit, &without, &cycles).filter(|_| !by_clock)?;
@@ -230,9 +243,11 @@ impl ScalarSystem {
         Some(Strata { cells, protocol })
     }
 
-    /// Rows that count, by stimulus.
-    fn levels(&self, weights: &Weights) -> Vec<Vec<usize>> {
-        members(&level_keys(&self.frame), weights.relative())
+    /// Rows that count, by the settings of what drives `term`: a further column, else the stimulus; and its value in a row.
+    fn levels(&self, term: &EffectTerm, weights: &Weights) -> (Vec<Vec<usize>>, impl Fn(&ScalarRow) -> f64) {
+        let column = self.catalogue()[term.effect].by_column.then_some(term.law);
+        let rows = members(&level_keys(&self.frame, column), weights.relative());
+        (rows, move |row: &ScalarRow| column.and_then(|k| row.covariates.get(k).copied()).unwrap_or(row.x))
     }
 
     /// Rows that count, by cycle; empty below four: without one of three a law loses a third of its readings.
@@ -268,8 +283,8 @@ impl ScalarSystem {
         });
         let richer = Fit { raw_design: added, ..h.fit.clone() };
         extra_sum_of_squares_p(
-            split(&h.fit, &h.weights, &cells).within,
-            split(&richer, &h.weights, &cells).within,
+            split(&h.fit, &h.weights, &cells, &self.frame.read_u).within,
+            split(&richer, &h.weights, &cells, &self.frame.read_u).within,
         ) >= WITHIN_STRATA
     }
 }

@@ -12,6 +12,8 @@ use super::system::ScalarSystem;
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::{Noise, Weights};
+use crate::method::settings::settings;
+use std::collections::BTreeMap;
 
 /// Floor of the response.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,36 +27,43 @@ pub struct Floor {
 /// Fewer degrees of freedom than this do not make a floor.
 const MIN_DOF: usize = 8;
 
-/// One key for readings that ought to agree: same stimulus, same direction.
+/// One key for readings that ought to agree: every input is set alike (stimulus, further columns that were set, direction).
 pub fn replicate_keys(frame: &Frame) -> Vec<u64> {
     keys(frame, frame.direction.as_deref())
 }
 
 /// The same by the way of the stimulus in the order of the table, where that is known: what repeats with the protocol.
 pub fn protocol_keys(frame: &Frame) -> Vec<u64> {
-    let by_order = (frame.direction.is_none() && frame.ordered).then(|| ways(&frame.rows));
+    let by_order = (frame.direction.is_none() && frame.ordered).then(|| ways(&frame.setting));
     keys(frame, by_order.as_deref().or(frame.direction.as_deref()))
 }
 
-/// One key a stimulus.
-pub fn level_keys(frame: &Frame) -> Vec<u64> {
+/// One key for readings at the same place: every input is set alike but for the direction.
+pub fn place_keys(frame: &Frame) -> Vec<u64> {
     keys(frame, None)
 }
 
+/// One key a setting of the stimulus, or of the further column `column`.
+pub fn level_keys(frame: &Frame, column: Option<usize>) -> Vec<u64> {
+    let of_column = column.and_then(|k| Some(settings(frame.covariates.get(k)?.as_ref()?)));
+    of_column.as_ref().unwrap_or(&frame.setting).iter().map(|k| *k as u64).collect()
+}
+
 fn keys(frame: &Frame, direction: Option<&[f64]>) -> Vec<u64> {
-    let mut seen: Vec<(u64, bool)> = Vec::new();
-    (0..frame.rows.len())
+    let n = frame.rows.len();
+    // A column that is another at every reading is watched, not set: it says nothing of what ought to agree.
+    let set = |of: &Vec<usize>| 2 * (of.iter().max().map_or(0, |m| m + 1)) <= n;
+    let columns: Vec<Vec<usize>> =
+        frame.covariates.iter().flatten().map(|c| settings(c)).filter(set).collect();
+    let inputs = |i: usize| {
+        let down = usize::from(direction.is_some_and(|d| d[i] < 0.0));
+        [frame.setting[i], down].into_iter().chain(columns.iter().map(move |c| c[i])).collect::<Vec<usize>>()
+    };
+    let mut seen: BTreeMap<Vec<usize>, u64> = BTreeMap::new();
+    (0..n)
         .map(|i| {
-            // + 0.0 turns -0 into 0.
-            let down = direction.is_some_and(|d| d[i] < 0.0);
-            let key = ((frame.rows[i].x + 0.0).to_bits(), down);
-            match seen.iter().position(|s| *s == key) {
-                Some(k) => k as u64,
-                None => {
-                    seen.push(key);
-                    seen.len() as u64 - 1
-                }
-            }
+            let next = seen.len() as u64;
+            *seen.entry(inputs(i)).or_insert(next)
         })
         .collect()
 }
@@ -73,9 +82,11 @@ pub fn noise_floor(system: &ScalarSystem, h: &Hypothesis, noise: &Noise) -> Opti
         rows.chunk_by(|&a, &b| keys[a] == keys[b]).filter(|cell| cell.len() > 1).collect();
     let dof: usize = cells.iter().map(|cell| cell.len() - 1).sum();
     let whole = (1.0 + noise.shared_variance()).sqrt();
+    // Repeats of a coarse read-out may all be equal: they are as good as its rounding (GUM F.2.2.1).
+    let step = system.noise_inputs().step.first().copied().flatten().unwrap_or(0.0);
+    let floor = |sd: f64, source| Floor { sd: (sd * whole).max(step / 12f64.sqrt()), source };
     if dof >= MIN_DOF {
-        let sd = scatter.repeat_sd(cells.into_iter())? * whole;
-        return Some(Floor { sd, source: "replicates" });
+        return Some(floor(scatter.repeat_sd(cells.into_iter())?, "replicates"));
     }
     // Neighbours in time differ by their noise; where the order is not known, neighbours in the stimulus.
     let mut rows: Vec<usize> = (0..keys.len()).filter(counts).collect();
@@ -85,7 +96,7 @@ pub fn noise_floor(system: &ScalarSystem, h: &Hypothesis, noise: &Noise) -> Opti
     if rows.len() <= MIN_DOF {
         return None;
     }
-    Some(Floor { sd: scatter.repeat_sd(rows.windows(2))? * whole, source: "difference" })
+    Some(floor(scatter.repeat_sd(rows.windows(2))?, "difference"))
 }
 
 /// How much readings of a set differ, and how much the noise lets them.

@@ -1,7 +1,9 @@
 //! The rows of a transducer or axis session in the order in which they were taken, with normalised covariates.
 
+use crate::method::settings::{means, reliability, settings};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::cmp::Ordering;
 use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::{Sealed, SealedRows};
 
@@ -177,6 +179,10 @@ pub struct Scaling {
     pub covariates: Vec<[f64; 2]>,
     /// Readings of the points table, those that the search left out among them.
     pub count: usize,
+    /// Share of the scatter of the stimulus within its settings that is its reading's alone (1 - reliability); 0 in a calibration: a new reading
+    /// has no setting.
+    #[serde(skip)]
+    pub unreliability: f64,
     /// Places of an axis that were all read more than once, rising, as commanded: those of a table of errors.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub places: Vec<f64>,
@@ -189,8 +195,12 @@ pub struct Frame {
     pub rows: Vec<ScalarRow>,
     /// Normalisation.
     pub scaling: Scaling,
-    /// Stimulus in half ranges from the middle.
+    /// Stimulus in half ranges from the middle, as read: the argument of the declared model.
+    pub read_u: Vec<f64>,
+    /// The same freed of the scatter of its reading: what effects follow.
     pub u: Vec<f64>,
+    /// Number of the stimulus's setting, ascending.
+    pub setting: Vec<usize>,
     /// Where stimulus 0 lies on that scale.
     pub zero_u: f64,
     /// Place in the order, first fitted row 0, last 1.
@@ -209,17 +219,19 @@ pub struct Frame {
     pub groups: Vec<u32>,
     /// The order of the rows is that of the measurement: time stamps say so, or nothing speaks against it.
     pub ordered: bool,
+    /// The stimulus is the number of the reading, of a constant quantity: nothing was set, and the order alone can drive anything.
+    pub counts_readings: bool,
     /// Rows that no fit sees: what asks for enough readings to fit is not asked of them.
     pub new_rows: bool,
 }
 
 /// A table sorted by the stimulus with its repetitions side by side was put in order afterwards, or might have been: where a reading
 /// stands among its repetitions then says nothing of when it was taken.
-fn sorted_with_repetitions(rows: &[ScalarRow]) -> bool {
-    let rises = rows.windows(2).all(|p| p[1].x >= p[0].x);
-    let falls = rows.windows(2).all(|p| p[1].x <= p[0].x);
+fn sorted_with_repetitions(setting: &[usize]) -> bool {
+    let rises = setting.windows(2).all(|p| p[1] >= p[0]);
+    let falls = setting.windows(2).all(|p| p[1] <= p[0]);
     let level = rises && falls;
-    (rises || falls) && !level && rows.windows(2).any(|p| p[1].x == p[0].x)
+    (rises || falls) && !level && setting.windows(2).any(|p| p[1] == p[0])
 }
 
 fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
@@ -253,8 +265,17 @@ impl Scaling {
             temperature: temperature.map(|t| t.iter().sum::<f64>() / t.len() as f64),
             covariates,
             count: rows.len(),
+            unreliability: 0.0,
             places: Vec::new(),
         }
+    }
+
+    /// The same with the scatter of the stimulus's reading, where a response follows it; an axis is commanded to its places.
+    pub fn with_unreliability(self, rows: &[ScalarRow], declared: Declared) -> Self {
+        let Declared::Polynomial(1..) = declared else { return self };
+        let [x, y] =
+            [|r: &ScalarRow| r.x, |r: &ScalarRow| r.y].map(|f| rows.iter().map(f).collect::<Vec<f64>>());
+        Self { unreliability: 1.0 - reliability(&settings(&x), &x, &y), ..self }
     }
 
     /// The same with the places of an axis.
@@ -275,19 +296,22 @@ const MAX_PLACES: usize = 100;
 const MIN_EACH_WAY: usize = 3;
 
 /// Given directions, or those of the sequence where time or cycles attest it.
-fn directions(rows: &[ScalarRow], least: usize) -> Option<Vec<f64>> {
+fn directions(rows: &[ScalarRow], setting: &[usize], least: usize) -> Option<Vec<f64>> {
     let found = match all(rows, |r| r.direction) {
         Some(given) => given,
         None if rows.iter().all(|r| r.t_s.is_some()) => {
             let mut out = vec![0.0; rows.len()];
             for k in 1..rows.len() {
-                let step = rows[k].x - rows[k - 1].x;
-                out[k] = if step == 0.0 { out[k - 1] } else { step.signum() };
+                out[k] = match setting[k].cmp(&setting[k - 1]) {
+                    Ordering::Equal => out[k - 1],
+                    Ordering::Greater => 1.0,
+                    Ordering::Less => -1.0,
+                };
             }
             let first = out.iter().copied().find(|d| *d != 0.0).unwrap_or(1.0);
             out.iter().map(|d| if *d == 0.0 { first } else { *d }).collect()
         }
-        None if rows.iter().all(|r| r.cycle.is_some()) && !sorted_with_repetitions(rows) => ways(rows),
+        None if rows.iter().all(|r| r.cycle.is_some()) && !sorted_with_repetitions(setting) => ways(setting),
         None => return None,
     };
     let up = found.iter().filter(|d| **d > 0.0).count();
@@ -295,10 +319,10 @@ fn directions(rows: &[ScalarRow], least: usize) -> Option<Vec<f64>> {
 }
 
 /// Way of the stimulus at each row, by the order of the table: a place that is read twice at a turn is read once on either way.
-pub fn ways(rows: &[ScalarRow]) -> Vec<f64> {
-    let step = |k: usize| rows.get(k + 1).map_or(0.0, |next| next.x - rows[k].x);
-    let mut out = vec![0.0; rows.len()];
-    for k in (0..rows.len()).rev() {
+pub fn ways(setting: &[usize]) -> Vec<f64> {
+    let step = |k: usize| setting.get(k + 1).map_or(0.0, |next| *next as f64 - setting[k] as f64);
+    let mut out = vec![0.0; setting.len()];
+    for k in (0..setting.len()).rev() {
         let before = if k > 0 { step(k - 1) } else { 0.0 };
         let ahead = if step(k) != 0.0 { step(k).signum() } else { out.get(k + 1).copied().unwrap_or(0.0) };
         out[k] = if before != 0.0 { before.signum() } else { ahead };
@@ -336,6 +360,9 @@ impl Frame {
             rows.sort_by(|a, b| a.t_s.unwrap_or(0.0).total_cmp(&b.t_s.unwrap_or(0.0)));
         }
         let half = if scaling.half > 0.0 { scaling.half } else { 1.0 };
+        let x: Vec<f64> = rows.iter().map(|r| r.x).collect();
+        let setting = settings(&x);
+        let mean = means(&setting, &x);
         let span = scaling.count.max(2) as f64 - 1.0;
         let covariates = scaling
             .covariates
@@ -346,7 +373,11 @@ impl Frame {
             })
             .collect();
         Self {
-            u: rows.iter().map(|r| (r.x - scaling.mid) / half).collect(),
+            read_u: x.iter().map(|x| (x - scaling.mid) / half).collect(),
+            u: x.iter()
+                .zip(&setting)
+                .map(|(x, &k)| (x - scaling.unreliability * (x - mean[k]) - scaling.mid) / half)
+                .collect(),
             zero_u: -scaling.mid / half,
             order: rows.iter().enumerate().map(|(k, r)| r.place.unwrap_or(k) as f64 / span).collect(),
             time: scaling.time.filter(|_| timed).map(|[first, duration]| {
@@ -355,11 +386,13 @@ impl Frame {
             temperature: scaling
                 .temperature
                 .and_then(|mean| all(&rows, |r| r.temperature_degc.map(|t| t - mean))),
-            direction: directions(&rows, if new_rows { 0 } else { MIN_EACH_WAY }),
+            direction: directions(&rows, &setting, if new_rows { 0 } else { MIN_EACH_WAY }),
             covariates,
+            counts_readings: declared == Declared::Polynomial(0) && x.windows(2).all(|p| p[1] == p[0] + 1.0),
             declared,
             groups: groups(&rows),
-            ordered: timed || !sorted_with_repetitions(&rows),
+            ordered: timed || !sorted_with_repetitions(&setting),
+            setting,
             new_rows,
             scaling: scaling.clone(),
             rows,
@@ -377,12 +410,9 @@ impl Frame {
         self.declared != Declared::Polynomial(0)
     }
 
-    /// Distinct stimuli.
+    /// Settings of the stimulus.
     pub fn levels(&self) -> usize {
-        let mut x: Vec<f64> = self.u.clone();
-        x.sort_by(f64::total_cmp);
-        x.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
-        x.len()
+        self.setting.iter().max().map_or(0, |m| m + 1)
     }
 
     /// Time where it is known, else the order.

@@ -12,7 +12,7 @@ use super::spread_trend::with_spread_of;
 use super::stationarity::{UNSTEADY, stationarity};
 use super::system::ScalarSystem;
 use super::table::{deviations, has_table, prefer_error_table};
-use super::usable::{domain_error, non_invertible_reason};
+use super::usable::{domain_error, non_invertible_reason, untested};
 use super::{ScalarRow, next};
 use crate::effect::EffectTerm;
 use crate::error::TraceError;
@@ -103,6 +103,11 @@ impl SessionText for ScalarSystem {
 
     fn nuisances(&self) -> &'static str {
         "the declared model"
+    }
+
+    fn cautions(&self, accepted: &Hypothesis) -> Vec<String> {
+        let limits = self.limits().iter().map(|l| l.sentence(&self.names().response));
+        limits.chain(untested(self, accepted)).collect()
     }
 
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {

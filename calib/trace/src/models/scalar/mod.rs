@@ -12,6 +12,7 @@ pub mod next;
 pub mod parameters;
 pub mod polynomial;
 pub mod predictions;
+mod range_limit;
 mod scalar_effect;
 mod spread_trend;
 pub mod stationarity;

@@ -1,6 +1,6 @@
 //! Predictions of a fit at other rows, and how rows are left out in turn.
 
-use super::floor::replicate_keys;
+use super::floor::{place_keys, replicate_keys};
 use super::frame::Frame;
 use super::parameters::covariance;
 use super::system::ScalarSystem;
@@ -80,7 +80,7 @@ pub fn folds(frame: &Frame, grouping: Grouping) -> Folds {
         let words = format!("by leaving out each of {BLOCKS} blocks of neighbouring readings in turn");
         return of("loo", words, (0..n).map(|i| i * BLOCKS / n).collect());
     }
-    let (fold, count) = number(frame.u.iter().map(|u| (u * 1e9).round() as i64).collect());
+    let (fold, count) = number(place_keys(frame).iter().map(|k| *k as i64).collect());
     let n = frame.rows.len();
     if count < n && count >= 3 {
         let folds = count.min(MAX_FOLDS);

@@ -2,7 +2,8 @@
 
 use super::admission::number;
 use super::effects;
-use super::frame::{Declared, Frame, Names, ScalarRow};
+use super::frame::{Declared, Frame, Names, ScalarRow, Scaling};
+use super::range_limit::{RangeLimit, read_out};
 use super::scalar_effect::ScalarEffect;
 use crate::effect::{Effect, EffectTerm, LawRequirement, Values};
 use crate::measurement_model::MeasurementModel;
@@ -52,6 +53,7 @@ pub struct ScalarSystem {
     /// Every reading of the points table, those that the search leaves out among them.
     points: Arc<Vec<ScalarRow>>,
     sealed: Vec<bool>,
+    limits: Vec<RangeLimit>,
     /// Trend of the spread, where one was found.
     spread: Option<Spread>,
     /// A trend was found and did not outlive the effects that were found with it.
@@ -88,6 +90,7 @@ impl ScalarSystem {
             },
             points: Arc::new(frame.rows.clone()),
             sealed: vec![false; n],
+            limits: Vec::new(),
             spread: None,
             given_up_spread: false,
             frame,
@@ -97,9 +100,9 @@ impl ScalarSystem {
         }
     }
 
-    /// With the session's names, and every reading of its points table.
-    pub fn of_session(mut self, names: Names, points: Vec<ScalarRow>) -> Self {
-        (self.names, self.points) = (names, Arc::new(points));
+    /// With the session's names, every reading of its points table that measures, and the limits at which the others stand.
+    pub fn of_session(mut self, names: Names, points: Vec<ScalarRow>, limits: Vec<RangeLimit>) -> Self {
+        (self.names, self.points, self.limits) = (names, Arc::new(points), limits);
         self
     }
 
@@ -113,10 +116,15 @@ impl ScalarSystem {
         }
         let origins: BTreeSet<_> = unsealed.iter().map(|r| r.origin.clone()).collect();
         let rows = self.points.iter().cloned().chain(unsealed).collect();
-        let frame = Frame::new(rows, &self.frame.scaling, self.frame.declared);
+        // A sealed reading is predicted like any new one: at the stimulus that was read.
+        let as_read = Scaling { unreliability: 0.0, ..self.frame.scaling.clone() };
+        let frame = Frame::of_new_rows(rows, &as_read, self.frame.declared);
         let mut all = Self::new(frame, &self.names.covariates).with_offset(self.offset);
-        all.sealed = all.frame.rows.iter().map(|r| origins.contains(&r.origin)).collect();
-        all = all.of_session(self.names.clone(), self.points.to_vec());
+        // What stands at a limit measures nothing there, either.
+        let measures =
+            |r: &ScalarRow| self.limits.iter().all(|l| l.value != read_out(r, self.frame.declared));
+        all.sealed = all.frame.rows.iter().map(|r| origins.contains(&r.origin) && measures(r)).collect();
+        all = all.of_session(self.names.clone(), self.points.to_vec(), self.limits.clone());
         match &self.spread {
             Some(s) => {
                 let scale = s.law.scale(&self.frame);
@@ -179,6 +187,11 @@ impl ScalarSystem {
         &self.points
     }
 
+    /// Limits of the read-out at which readings stand.
+    pub fn limits(&self) -> &[RangeLimit] {
+        &self.limits
+    }
+
     /// Readings of the points table.
     pub fn points(&self) -> usize {
         self.points.len()
@@ -208,7 +221,10 @@ impl MeasurementModel for ScalarSystem {
         }
         let mut columns: Vec<Vec<f64>> = match frame.declared {
             Declared::Polynomial(degree) => {
-                (0..=degree).map(|k| u.iter().map(|v| v.powi(k as i32)).collect()).collect()
+                let read =
+                    frame.read_u.iter().zip(&frame.u).zip(&u).map(|((read, level), u)| read + (u - level));
+                let read: Vec<f64> = read.collect();
+                (0..=degree).map(|k| read.iter().map(|v| v.powi(k as i32)).collect()).collect()
             }
             // measured - commanded = constant + (x_eff - x): the second part has no free coefficient. Seen from a far point it
             // rides on the constant's column, with a coefficient of one to within error / offset = 1e-5.
@@ -229,7 +245,10 @@ impl MeasurementModel for ScalarSystem {
     }
 
     fn not_observable(&self, effect: usize) -> Option<String> {
-        let ScalarEffect { effect, not_observable, .. } = &self.effects[effect];
+        let ScalarEffect { effect, not_observable, degree, .. } = &self.effects[effect];
+        if degree.is_some() && self.frame.counts_readings {
+            return Some("no stimulus was set: its column counts the readings".to_owned());
+        }
         let unmet = effect.needs().iter().find_map(|need| unmet(*need, &self.frame));
         unmet.map(str::to_owned).or_else(|| not_observable(&self.frame))
     }
@@ -267,6 +286,10 @@ impl MeasurementModel for ScalarSystem {
             if frame.covariates.get(k).is_some_and(Option::is_some) {
                 out.push((name.clone(), frame.rows.iter().map(|r| r.covariates[k]).collect()));
             }
+        }
+        // The first of drivers that say the same is named: a column that counts the readings says it last.
+        if frame.counts_readings {
+            out.rotate_left(1);
         }
         out
     }

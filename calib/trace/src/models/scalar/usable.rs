@@ -60,3 +60,30 @@ pub(super) fn domain_error(system: &ScalarSystem, h: &Hypothesis) -> Option<Stri
     let why = model.predict(&system.frame.rows).err()?;
     Some(format!("The model cannot be applied to its own rows ({why}); no calibration follows from it."))
 }
+
+/// Fewer readings than this show little beside their law; a certificate of five pressures is one of them.
+const FEW: usize = 8;
+
+/// What the accepted law rests on and no reading tests.
+pub(super) fn untested(system: &ScalarSystem, h: &Hypothesis) -> Vec<String> {
+    let Declared::Polynomial(degree) = system.frame.declared else { return Vec::new() };
+    let (n, levels) = (system.frame.rows.len(), system.frame.levels());
+    let of_stimulus = 1 + columns_of_stimulus(system, &h.fit.terms, degree, h.fit.design.ncols()).len();
+    let mut out = Vec::new();
+    // As many settings as coefficients: the curve goes through all of them, whatever it does between them.
+    if levels == of_stimulus && degree > 0 {
+        out.push(format!(
+            "{levels} stimuli determine the {levels} coefficients and test nothing of the law between them: a bend there does harm and does not \
+             show. A reading at another stimulus between them decides."
+        ));
+    }
+    if n < FEW {
+        let repeats = if levels < n { "" } else { "repeatability, " };
+        out.push(format!(
+            "{n} readings leave {} degrees of freedom: intervals are those of Student's t, and {repeats}hysteresis, drift and single false readings \
+             cannot be told.",
+            h.fit.dof
+        ));
+    }
+    out
+}

@@ -4,6 +4,7 @@ use super::admission::{number, thin};
 use super::frame::{Declared, Frame, Names, ScalarData, ScalarRow, Scaling};
 use super::model::ScalarModel;
 use super::polynomial::Polynomial;
+use super::range_limit::range_limits;
 use super::spread_trend::heteroscedasticity_note;
 use super::stationarity::{Stationarity, stationarity};
 use super::system::ScalarSystem;
@@ -77,13 +78,15 @@ pub fn verify_scalar(
 ) -> Result<ScalarVerification, TraceError> {
     let (mut points, declared) = (data.rows(), data.declared());
     number(&mut points);
+    let limits = range_limits(&points, declared);
+    points.retain(|r| !limits.iter().any(|l| l.points.contains(&r.origin.2)));
     let rows = thin(points.clone());
-    let scaling = Scaling { count: points.len(), ..Scaling::of(&rows) };
+    let scaling = Scaling { count: points.len(), ..Scaling::of(&rows) }.with_unreliability(&rows, declared);
     let scaling = if declared == Declared::Axis { scaling.with_places(&rows) } else { scaling };
     let (stimulus, response) = data.units();
     let names = Names { stimulus, response, covariates: data.covariate_names() };
-    let model =
-        ScalarSystem::new(Frame::new(rows, &scaling, declared), &names.covariates).of_session(names, points);
+    let model = ScalarSystem::new(Frame::new(rows, &scaling, declared), &names.covariates)
+        .of_session(names, points, limits);
     Ok(match verify(model, sealed, &[], request)? {
         Verified::Done(v) => for_report(session, *v, request),
         Verified::Refused(why) => refused(session, data, request.search.seed, &why),

@@ -2,10 +2,20 @@
 //!
 //! A cable twin may differ from the rod smoothly (discretisation, diameter); a label that leaves the smooth relation is on another
 //! branch. The relation is fitted robustly, so the faulty labels do not pull it.
+//!
+//! Labels and rod are two measurements of one moment: the linear part between them is one, or the labels are of another unit, sign or axes. In
+//! complex numbers, with m a moment and l its label (least squares over good labels, Kabsch 1976),
+//!
+//! ```text
+//! l = c m,  arg c = arg sum conj(m) l         turned, by half a turn where the sign is the reaction's
+//! l = c conj(m),  arg c = arg sum m l         mirrored; arg c = 90 deg: axes exchanged, 0 or 180 deg: one axis reversed
+//! ```
 
+use crate::error::TraceError;
+use crate::whisker::WhiskerSystem;
 use crate::whisker::path::WhiskerPath;
 use crate::whisker::rod_tables::RodTables;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Complex, DMatrix, DVector};
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
 use wcal_core::order_statistics::median;
 use wcal_core::verify_document::TwinFault;
@@ -44,6 +54,10 @@ const BRANCH_DEVIATION: f64 = 8.0;
 const SMOOTH_SHARE: f64 = 0.03;
 /// Factors between common units (N m, N mm, mN m, kgf mm) would show as such a ratio.
 const UNIT_RATIO: f64 = 5.0;
+/// A wire is not clamped worse than this about its own axis: labels that are turned further have other axes, deg.
+const TURNED_DEG: f64 = 10.0;
+/// Share of the least-squares agreement by which mirrored axes must beat turned ones; moments along one direction do not tell the two apart.
+const MIRRORED: f64 = 1.02;
 
 /// Checks every label of the session.
 pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTables) -> LabelReport {
@@ -81,12 +95,15 @@ pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTabl
         .filter_map(|&i| checks[i].rod_nmm.map(|m| size(checks[i].label_nmm) / size(m)));
     let median_ratio = median(ratios).unwrap_or(1.0);
     let unit = !(1.0 / UNIT_RATIO..UNIT_RATIO).contains(&median_ratio);
+    let axes = other_axes(&checks, &loaded);
     for &i in &loaded {
         let Some(rod) = checks[i].rod_nmm else { continue };
         let label = checks[i].label_nmm;
         checks[i].fault = if checks[i].deviation > BRANCH_DEVIATION {
             // A wire that left the groove carries almost nothing; one on another branch carries a moment of another direction.
             Some(if size(label) < 0.1 * size(rod) { "contact-lost" } else { "branch" })
+        } else if let Some((kind, _)) = &axes {
+            Some(*kind)
         } else if unit {
             Some("unit")
         } else if (size(label) / size(rod) - 1.0).abs() > SMOOTH_SHARE {
@@ -98,8 +115,44 @@ pub fn check_labels(data: &WhiskerData, path: &WhiskerPath, rod_tables: &RodTabl
     for c in checks.iter_mut().filter(|c| c.rod_nmm.is_none()) {
         c.fault = Some("branch");
     }
-    let faults = collect(&checks, median_ratio);
+    let faults = collect(&checks, median_ratio, axes.as_ref().map_or("", |(_, detail)| detail));
     LabelReport { checks, faults }
+}
+
+/// Fault and detail where the labels are the rod's moments about other axes.
+fn other_axes(checks: &[LabelCheck], loaded: &[usize]) -> Option<(&'static str, String)> {
+    let good = loaded.iter().filter(|&&i| checks[i].deviation < BRANCH_DEVIATION);
+    let (mut turned, mut mirrored) = (Complex::<f64>::ZERO, Complex::<f64>::ZERO);
+    for &i in good {
+        let complex = |m: [f64; 2]| Complex::new(m[0], m[1]);
+        let (rod, label) = (complex(checks[i].rod_nmm?), complex(checks[i].label_nmm));
+        turned += rod.conj() * label;
+        mirrored += rod * label;
+    }
+    if mirrored.norm() > MIRRORED * turned.norm() {
+        let angle = mirrored.arg().to_degrees();
+        let what = match angle {
+            a if (a - 90.0).abs() < TURNED_DEG => "with the two axes exchanged".to_owned(),
+            a if a.abs() < TURNED_DEG => "with the second axis reversed".to_owned(),
+            a if a.abs() > 180.0 - TURNED_DEG => "with the first axis reversed".to_owned(),
+            a => format!("mirrored and turned by {a:.0} deg"),
+        };
+        return Some(("axes", format!("the labels are the rod's moments {what}: [moments] axes")));
+    }
+    let angle = turned.arg().to_degrees();
+    match angle.abs() {
+        a if a > 180.0 - TURNED_DEG => Some((
+            "sign",
+            "the labels are -1 times the rod's moments (the reaction on the base): [moments] sign".to_owned(),
+        )),
+        a if a > TURNED_DEG => Some((
+            "axes",
+            format!(
+                "the labels are the rod's moments turned by {angle:.0} deg: [moments] axes, or the wire's roll"
+            ),
+        )),
+        _ => None,
+    }
 }
 
 fn size(m: [f64; 2]) -> f64 {
@@ -145,8 +198,8 @@ fn deviations(checks: &mut [LabelCheck], loaded: &[usize]) {
     }
 }
 
-fn collect(checks: &[LabelCheck], ratio: f64) -> Vec<TwinFault> {
-    ["branch", "contact-lost", "unit", "discretisation"]
+fn collect(checks: &[LabelCheck], ratio: f64, axes: &str) -> Vec<TwinFault> {
+    ["branch", "contact-lost", "sign", "axes", "unit", "discretisation"]
         .into_iter()
         .filter_map(|kind| {
             let points: Vec<i64> =
@@ -154,12 +207,25 @@ fn collect(checks: &[LabelCheck], ratio: f64) -> Vec<TwinFault> {
             let detail = match kind {
                 "branch" => "the label leaves the branch that starts at first touch: on the way to this pose the twin's wire snapped to another equilibrium".to_owned(),
                 "contact-lost" => "the label is near zero where the rod is held: the twin's wire left the groove".to_owned(),
+                "sign" | "axes" => axes.to_owned(),
                 "unit" => format!("the labels are {ratio:.3} times the rod's moments: a unit or a stiffness is wrong"),
                 _ => "the label differs smoothly from the rod by more than 3 %, most where the contact is near the root: too few links at the clamp, or another diameter".to_owned(),
             };
             (!points.is_empty()).then(|| TwinFault { points, kind: kind.to_owned(), detail })
         })
         .collect()
+}
+
+/// What is wrong with the labels of a session's outside twin, by the rod at the same poses; nothing without one.
+///
+/// # Errors
+/// Where the session has no rod.
+pub fn label_faults(data: &WhiskerData) -> Result<Vec<TwinFault>, TraceError> {
+    if data.twin.is_empty() {
+        return Ok(Vec::new());
+    }
+    let system = WhiskerSystem::new(data, &data.rows.iter().collect::<Vec<_>>())?;
+    Ok(check_labels(data, &system.path, &system.rod_tables).faults)
 }
 
 /// The outside twin's label of a reading, N mm; zero at rest where it has none, for nothing bends the wire there.

@@ -120,9 +120,11 @@ const MIN_PLACES: usize = 12;
 /// The covariate of a law, from 0 to 1, and how many different places it has; none where another law covers it.
 fn variable(law: &str, frame: &Frame) -> Option<(Vec<f64>, usize)> {
     // New rows are not searched: they follow the law that was fitted.
-    let same = |a: &[f64], b: &[f64]| !frame.new_rows && correlation(a, b).abs() > SAME;
+    let same =
+        |a: &[f64], b: &[f64]| !frame.new_rows && !frame.counts_readings && correlation(a, b).abs() > SAME;
     let n = frame.scaling.count;
     match law {
+        "over-stimulus" if frame.counts_readings => None,
         "over-stimulus" => Some((frame.u.iter().map(|u| 0.5 * (u + 1.0)).collect(), frame.levels())),
         "over-time" => frame.time.as_ref().filter(|t| !same(t, &frame.u)).map(|t| (t.clone(), n)),
         _ => {

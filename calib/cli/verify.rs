@@ -32,6 +32,7 @@ use wcal_session::{LoadedSession, SessionError, SessionLedger, add_session, atta
 use wcal_trace::method::options::{Options, ProgressListener};
 use wcal_trace::scalar::{ScalarData, verify_scalar};
 use wcal_trace::verify::{VerifyRequest, Witness};
+use wcal_trace::whisker::physical::PhysicalModel;
 use wcal_trace::whisker::{Verified, WhiskerSystem, WhiskerVerification, verify_whisker};
 
 /// Arguments of `wcal verify`.
@@ -293,10 +294,14 @@ fn of_whisker_session(
     let on_request = !request.accept.is_empty();
     let mut report = of_whisker(session, (data, count), &done, on_request, provenance);
     // What the calibration says of contacts comes from the readings that it was fitted to; the sealed ones show whether it is true.
-    let own = groove_tracking(&done, &done.open, "fit")?;
+    let own = groove_tracking(&done, &done.model, (&done.open, "fit"))?;
     let contact = own.as_ref().and_then(groove_comparison::calibration_contact);
-    report.verify.groove_tracking =
-        if count > 0 { groove_tracking(&done, &done.whole, "holdout")? } else { own };
+    let split = if count > 0 { (&done.whole, "holdout") } else { (&done.open, "fit") };
+    let after = if count > 0 { groove_tracking(&done, &done.model, split)? } else { own };
+    let before = groove_tracking(&done, &done.declared, split)?;
+    report.verify.contact =
+        before.zip(after.as_ref()).map(|(b, a)| groove_comparison::contact_comparison(&b, a));
+    report.verify.groove_tracking = after;
     Ok(Outcome {
         judged: given
             .map(|g| g.judge(SessionSystem::Whisker(&done.whole), request.search.seed))
@@ -316,12 +321,11 @@ fn witness(folder: &Path, data: &WhiskerData) -> anyhow::Result<SweepWitness> {
     Ok(SweepWitness::new(sweep, (&data.whisker, &data.moments), poses)?)
 }
 
-/// The tracker on the groove, with the accepted calibration, on the readings of `system`: all of them (`fit`), or those that were sealed (`holdout`).
-/// None where the verdict accepts no calibration, or the stage's way is not recorded.
+/// The tracker on the groove, through `model`, on the readings of a system: all of them (`fit`), or those that were sealed (`holdout`). None where the verdict accepts no calibration, or the stage's way is not recorded.
 fn groove_tracking(
     done: &WhiskerVerification,
-    system: &WhiskerSystem,
-    split: &str,
+    model: &PhysicalModel,
+    (system, split): (&WhiskerSystem, &str),
 ) -> anyhow::Result<Option<GrooveTracking>> {
     let readings = 0..system.path.readings.len();
     let way_known = |i: usize| system.path.readings[i].rest || system.row(i).stage_mm.is_some();
@@ -329,7 +333,7 @@ fn groove_tracking(
     if !accepted || !readings.clone().all(way_known) {
         return Ok(None);
     }
-    let Some(motion) = done.model.groove_motion(system) else { return Ok(None) };
+    let Some(motion) = model.groove_motion(system) else { return Ok(None) };
     let [sealed, _] = system.held_out();
     let tracked = session_groove::track(system, motion, |i| sealed[i] == (split == "holdout"))?;
     let compared = tracked.compared(system, |i| system.row(i).groove_mm)?;

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use wcal_contact::groove_comparison::groove_sentence;
 use wcal_core::ResidualRecord;
-use wcal_core::verify_document::HoldoutOutcome;
+use wcal_core::verify_document::{ContactComparison, HoldoutOutcome};
 use wcal_report::ReportInput;
 use wcal_trace::scalar::ScalarData;
 use wcal_trace::whisker::WhiskerVerification;
@@ -79,6 +79,9 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     let contradicted = v.holdout.outcome == HoldoutOutcome::Contradicted;
     let but = if contradicted { ", but the sealed readings contradict it" } else { "" };
     println!("{}{}: {}{but}", v.session, word(v.simulated), verdict.as_str().unwrap_or_default());
+    if let Some(contact) = &v.contact {
+        println!("  {}", contact_line(contact));
+    }
     println!("  {}", v.reason);
     for caution in &v.cautions {
         println!("  caution: {caution}");
@@ -149,6 +152,15 @@ pub fn print_text(report: &ReportInput, out: &Path) {
         println!("  next: {} (expected power {:.2})", n.instruction, n.expected_power);
     }
     println!("  written to {}", out.display());
+}
+
+/// What it is all for, in one line.
+fn contact_line(c: &ContactComparison) -> String {
+    let [before, after, bound] = [c.before.rms_mm, c.after.rms_mm, c.bound_mm].map(|mm| format!("{mm:.2}"));
+    format!(
+        "contact: {before} mm -> {after} mm (bound {bound}), {} readings, {} inside their 95 % regions",
+        c.readings, c.inside95
+    )
 }
 
 /// A name or number with its unit; "1" is no unit.

@@ -3,7 +3,9 @@
 use crate::arc_posterior::REGION;
 use crate::known_groove::binomial_cdf;
 use std::collections::{BTreeMap, BTreeSet};
-use wcal_core::verify_document::{CalibrationContact, ContactUncertainty, GrooveTracking};
+use wcal_core::verify_document::{
+    CalibrationContact, ContactComparison, ContactError, ContactUncertainty, GrooveTracking,
+};
 
 /// A located place beside the groove's.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -89,6 +91,17 @@ pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTrack
     })
 }
 
+/// The same readings through the declared and through the accepted model.
+pub fn contact_comparison(before: &GrooveTracking, after: &GrooveTracking) -> ContactComparison {
+    ContactComparison {
+        before: ContactError { rms_mm: before.rmse_mm },
+        after: ContactError { rms_mm: after.rmse_mm },
+        bound_mm: after.bound_mm,
+        readings: after.points,
+        inside95: (after.coverage95 * after.points as f64).round() as usize,
+    }
+}
+
 /// What the tracked groove tells a calibration's user of contacts; none where no trajectory was compared.
 pub fn calibration_contact(t: &GrooveTracking) -> Option<CalibrationContact> {
     const METHOD: &str = "Bayesian Cramer-Rao bound of the contact on the session's trajectories, motion known: covariance of the calibration, \
@@ -112,12 +125,7 @@ pub fn contact_sentence(c: &CalibrationContact) -> String {
 pub fn groove_sentence(t: &GrooveTracking) -> String {
     let of = if t.split == "holdout" { "held-out readings" } else { "readings" };
     format!(
-        "tracker on the groove: {:.2} mm RMS at {} {of}, bound {:.2} mm (error / bound {:.2}); the stated 95 % regions hold the groove on {} of {} trajectories",
-        t.rmse_mm,
-        t.points,
-        t.bound_mm,
-        t.rmse_mm / t.bound_mm,
-        t.trajectories_held,
-        t.trajectories
+        "tracker on the groove: {:.2} mm RMS at {} {of}, expected {:.2} mm; the stated 95 % regions hold the groove on {} of {} trajectories",
+        t.rmse_mm, t.points, t.bound_mm, t.trajectories_held, t.trajectories
     )
 }

@@ -10,8 +10,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use errors::{
-    CalibrationContact, CalibrationJudgement, ContactUncertainty, EffectAblation, GrooveTracking,
-    HeldOutError, HoldoutJudgement, HoldoutOutcome,
+    CalibrationContact, CalibrationJudgement, ContactComparison, ContactError, ContactUncertainty,
+    EffectAblation, GrooveTracking, HeldOutError, HoldoutJudgement, HoldoutOutcome,
 };
 pub use findings::{
     Detectable, EffectParameter, NamedEffect, NextMeasurement, NextPose, TwinCheck, TwinFault, UnknownEffect,
@@ -105,6 +105,8 @@ pub struct VerifyDocument {
     /// How a given calibration does on readings that were not in its fit; absent without `--calibration`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationJudgement>,
+    /// Contacts where their place is known (the groove), by the declared and by the accepted model; null where it is not, or no model is accepted.
+    pub contact: Option<ContactComparison>,
     /// Where the tracker by known motion puts the groove through the accepted calibration (whisker); absent where it was not tracked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub groove_tracking: Option<GrooveTracking>,

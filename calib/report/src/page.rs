@@ -88,6 +88,20 @@ fn banner(input: &ReportInput) -> String {
             cell("noise floor", &floor)
         );
     }
+    for caution in &input.verify.cautions {
+        let _ = write!(out, "<p>Caution: {}</p>", escape(caution));
+    }
+    if let Some(c) = &input.verify.contact {
+        let cell = |head: &str, mm: f64| format!("<div><dt>{head}</dt><dd>{mm:.2} mm</dd></div>");
+        let _ = write!(
+            out,
+            "<dl><div class=\"wide\"><dt>contact</dt><dd>{} readings at the groove</dd></div>{}{}{}</dl>",
+            c.readings,
+            cell("before", c.before.rms_mm),
+            cell("after", c.after.rms_mm),
+            cell("bound", c.bound_mm)
+        );
+    }
     out + "</div>\n"
 }
 
@@ -139,12 +153,26 @@ fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> Strin
     out += &before_after::overview_figure(entries);
     let mut table = Table::stacked(
         "Sessions with their verdict and held-out error",
-        &["session", "data", "verdict", "found", "quantity", "#before", "#after", "#noise floor"],
+        &[
+            "session",
+            "data",
+            "verdict",
+            "found",
+            "quantity",
+            "#before",
+            "#after",
+            "#noise floor",
+            "#contact (mm)",
+        ],
     );
     for entry in entries {
         let (class, short, _) = verdict::of(&entry.verify);
         let [name, before, after, floor] = before_after::summary(&entry.verify, &entry.response_unit)
             .unwrap_or_else(|| ["–"; 4].map(str::to_owned));
+        let contact = entry
+            .verify
+            .contact
+            .map_or_else(|| "–".to_owned(), |c| format!("{:.2} → {:.2}", c.before.rms_mm, c.after.rms_mm));
         let data = match entry.verify.simulated {
             true => TableCell::Badge("sim", "SIMULATED".into()),
             false => TableCell::Text("measured".into()),
@@ -158,6 +186,7 @@ fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> Strin
             TableCell::Number(before),
             TableCell::Number(after),
             TableCell::Number(floor),
+            TableCell::Number(contact),
         ]);
     }
     out + &table.html() + "</section>\n"

@@ -94,6 +94,28 @@ pub struct CalibrationJudgement {
     pub why: String,
 }
 
+/// Error of contacts by one model.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ContactError {
+    /// Distance in space from where the contact is known to be, root mean square, mm.
+    pub rms_mm: f64,
+}
+
+/// Contacts whose place is known, tracked through the declared and through the accepted model.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ContactComparison {
+    /// Declared model.
+    pub before: ContactError,
+    /// Accepted model.
+    pub after: ContactError,
+    /// Cramer-Rao bound of the accepted model's error, mm: what moments and motion of these readings allow.
+    pub bound_mm: f64,
+    /// Readings compared.
+    pub readings: usize,
+    /// Those whose place lies in the accepted model's 95 % region.
+    pub inside95: usize,
+}
+
 /// The tracker on the groove: its place from the moments and the stage's way alone, compared with where it is known to be.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GrooveTracking {

@@ -133,7 +133,7 @@ fn groove(t: &GrooveTracking) -> String {
     let table = if t.uncertainty.is_empty() { String::new() } else { table.html() };
     format!(
         "<p>Down to contact points: from its moments and the stage's way alone the tracker finds the groove to <strong>{} mm</strong> RMS \
-         ({} {of}); no estimate without bias can do better than {} mm there. Its 95 % regions hold the groove on {} of \
+         ({} {of}); by its covariance {} mm are expected there. Its 95 % regions hold the groove on {} of \
          {} trajectories, whose readings share one error.{doubted}</p>{table}",
         number(t.rmse_mm),
         t.points,

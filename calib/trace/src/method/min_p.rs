@@ -41,8 +41,7 @@ pub struct MinPDistribution {
 impl MinPDistribution {
     /// Simulates `draws` null residuals for `signatures`; only their coordinates in the joint span and the norm of the rest matter.
     pub fn simulate(signatures: &[&Signature], dof: f64, options: &Options) -> Self {
-        let limit = (dof - 2.0).max(0.0) as usize;
-        let span = JointSpan::of(signatures.iter().flat_map(|a| &a.directions), limit);
+        let span = JointSpan::of(signatures.iter().flat_map(|a| &a.directions), dof.max(0.0) as usize);
         let rank = span.rank();
         let starts: Vec<usize> = signatures
             .iter()
@@ -51,7 +50,8 @@ impl MinPDistribution {
                 Some(*at - a.dimension())
             })
             .collect();
-        let rest = (dof - rank as f64).max(1.0);
+        // Signatures may span everything that a few readings leave.
+        let rest = (dof - rank as f64).max(0.0);
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(options.seed);
         let chi = ChiSquared::new(rest).ok();
         let heavy = options.tails_dof.and_then(|nu| StudentT::new(nu).ok());
@@ -66,7 +66,7 @@ impl MinPDistribution {
                     let mut ssr = Vec::with_capacity(count);
                     for mut column in z.column_iter_mut() {
                         column.iter_mut().for_each(|v| *v = StandardNormal.sample(&mut rng));
-                        ssr.push(column.norm_squared() + chi.map_or(rest, |c| c.sample(&mut rng)));
+                        ssr.push(column.norm_squared() + chi.map_or(0.0, |c| c.sample(&mut rng)));
                     }
                     (span.along(&z), ssr)
                 }
@@ -93,8 +93,8 @@ impl MinPDistribution {
                         continue;
                     }
                     let gain = draw.rows(at, signature.dimension()).norm_squared();
-                    // The tail is dear to compute: skip what cannot be small.
-                    if gain * dof / ssr < 2.0 * signature.dimension() as f64 {
+                    // The tail is dear to compute: skip what cannot be small, where there are readings enough to say so.
+                    if dof > 10.0 && gain * dof / ssr < 2.0 * signature.dimension() as f64 {
                         continue;
                     }
                     best = best.min(signature_p(signature, gain, ssr, dof));

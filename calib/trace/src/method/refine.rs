@@ -56,6 +56,10 @@ pub(super) fn refine_level(
 ) -> bool {
     let mut changed = false;
     for h in level.iter_mut().take(REFINED) {
+        while let Some(more) = add_column(system, h) {
+            *h = more;
+            changed = true;
+        }
         if let Some(refined) = refine(system, base, h) {
             *h = refined;
             changed = true;
@@ -66,6 +70,23 @@ pub(super) fn refine_level(
         level.sort_by(|a, b| a.aic(&base.fit, scale).total_cmp(&b.aic(&base.fit, scale)));
     }
     changed
+}
+
+/// One more column of an effect that follows columns and is accepted: loads of a cell that are applied in turn are one question, however many there are.
+fn add_column(system: &dyn MeasurementModel, from: &Hypothesis) -> Option<Hypothesis> {
+    let terms = &from.fit.terms;
+    let effect = terms.iter().find(|t| system.catalogue()[t.effect].by_column)?.effect;
+    let taken = |law: usize| terms.iter().any(|t| t.effect == effect && t.law == law);
+    let free = (0..system.catalogue()[effect].laws.len()).filter(|law| !taken(*law));
+    let with = |law: usize| {
+        let more = EffectTerm { effect, law, values: Vec::new() };
+        refit(system, &[terms.iter().cloned().chain([more]).collect()], from)
+    };
+    let tried: Vec<Hypothesis> = free.filter_map(with).collect();
+    let p = |h: &Hypothesis| f_test(from.fit.ssr - h.fit.ssr, from.fit.ssr, from.fit.dof, 1);
+    let count = tried.len() as f64;
+    let allowed = tried.into_iter().filter(|h| h.is_admissible(system) && system.not_identified(h).is_none());
+    allowed.min_by(|a, b| p(a).total_cmp(&p(b))).filter(|h| p(h) * count < CATALOGUE)
 }
 
 /// The best refinement of one of its terms, where it is physical and earns its parameters (F test over all that were tried).

@@ -53,7 +53,7 @@ impl Search {
         let test = omnibus_test(system, &base.fit, &base.weights, options);
         Some(Self {
             options: options.clone(),
-            given: base.key(system, outlier_index(system)).len(),
+            given: count(system, &base.key(system, outlier_index(system))),
             size: 1,
             first_test: test.clone(),
             best: base.clone(),
@@ -140,7 +140,7 @@ pub fn select_model(
         why: String::new(),
     }));
     let size = search.given + search.size;
-    refitted.retain(|h| h.is_admissible(system) && h.key(system, outliers).len() == size);
+    refitted.retain(|h| h.is_admissible(system) && count(system, &h.key(system, outliers)) == size);
     let (mut physical, refused) = split_by_identifiability(system, refitted);
     let base = &search.base.fit;
     let unidentified = |taken: &Hypothesis| {
@@ -339,6 +339,14 @@ fn f_to_enter(from: &Hypothesis, to: &Hypothesis, base: &Fit, test: &OmnibusTest
     let gain = from.fit.ssr - to.fit.ssr;
     let single = f_test(gain, from.fit.ssr, from.fit.dof, extra.max(1.0) as usize);
     test.family.family_wise_p(single)
+}
+
+/// How many things terms stand for: columns of one effect are one.
+fn count(system: &dyn MeasurementModel, key: &[TermKey]) -> usize {
+    let by_column = |e: usize| system.catalogue().get(e).is_some_and(|c| c.by_column);
+    (0..key.len())
+        .filter(|&k| !by_column(key[k].effect) || key[..k].iter().all(|o| o.effect != key[k].effect))
+        .count()
 }
 
 /// Names of the laws of an explanation's terms.

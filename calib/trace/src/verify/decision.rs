@@ -48,6 +48,12 @@ impl<M: SessionModel> Decision<M> {
         &self.of.left_out
     }
 
+    /// The declared model as a calibration would keep it: what a user without the effects has.
+    pub fn declared_calibration(&self) -> M::Calibration {
+        let Explained { found, declared_noise, .. } = self.explained();
+        self.of.model.calibration(&found.base, &found.base, declared_noise, self.floor.sd, self.seed)
+    }
+
     /// The accepted model as a calibration keeps it.
     pub fn calibration(&self) -> &M::Calibration {
         &self.calibration

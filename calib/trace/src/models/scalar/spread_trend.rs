@@ -1,15 +1,18 @@
 //! A spread of the readings that follows the stimulus: tested on the search's residuals, and the search made again with it.
 
-use super::frame::Frame;
 use super::stationarity::{UNSTEADY, stationarity};
 use super::system::ScalarSystem;
 use crate::levels::{REPLICATES, SPREAD};
+use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::spread::{SPREAD_REMARK, Spread, heteroscedasticity_test};
 use crate::method::signature::nuisance_basis;
 
 /// Permutations of the test of the spread.
 const PERMUTATIONS: usize = 4999;
+
+/// Largest share of rounding in the variance.
+const MAX_ROUNDING: f64 = 0.1;
 
 /// Residuals of a fit, each divided by the share of its variance that the fit leaves; unweighted.
 fn standardised(h: &Hypothesis) -> Vec<f64> {
@@ -25,7 +28,13 @@ fn standardised(h: &Hypothesis) -> Vec<f64> {
 }
 
 /// Trend of the spread along the stimulus.
-pub(super) fn test_spread(frame: &Frame, h: &Hypothesis, seed: u64) -> Option<Spread> {
+pub(super) fn test_spread(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> Option<Spread> {
+    let frame = &system.frame;
+    // Rounding is a function of the value: where it is much of the noise, readings are near or far as their marks lie, and no order is as likely.
+    let step = system.noise_inputs().step.first().copied().flatten().unwrap_or(0.0);
+    if step.powi(2) / 12.0 > MAX_ROUNDING * h.fit.raw_residual.norm_squared() / h.fit.dof.max(1.0) {
+        return None;
+    }
     let kept: Vec<usize> = (0..frame.rows.len()).filter(|&i| h.weights.counts(i)).collect();
     let residual = standardised(h);
     let pick = |f: &dyn Fn(usize) -> f64| kept.iter().map(|&i| f(i)).collect::<Vec<f64>>();
@@ -57,7 +66,7 @@ pub(super) fn with_spread_of(
     let contradicted = system.pure_error(accepted).is_some_and(|l| l.p_value.is_some_and(|p| p < REPLICATES));
     // Nor is it that a period which is not steady leaves more toward the ends.
     let steady = || stationarity(system, accepted).is_none_or(|s| s.z <= UNSTEADY);
-    let found = test_spread(&system.frame, accepted, seed)
+    let found = test_spread(system, accepted, seed)
         .filter(|s| s.p_value <= SPREAD && !contradicted && !system.has_given_up_spread() && steady());
     match (system.spread(), found) {
         (None, Some(spread)) => Some(system.clone().with_spread(spread)),
@@ -68,7 +77,7 @@ pub(super) fn with_spread_of(
 
 /// A trend of the spread too weak to be called an effect, in words.
 pub(super) fn heteroscedasticity_note(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> Option<String> {
-    let p = test_spread(&system.frame, h, seed).filter(|s| s.p_value <= SPREAD_REMARK)?.p_value;
+    let p = test_spread(system, h, seed).filter(|s| s.p_value <= SPREAD_REMARK)?.p_value;
     Some(format!(
         "The spread of the readings may change with the stimulus (p = {p:.1e}): too weak to be named."
     ))

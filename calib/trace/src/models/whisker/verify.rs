@@ -24,6 +24,8 @@ pub struct WhiskerVerification {
     pub labels: LabelReport,
     /// Accepted calibration.
     pub model: PhysicalModel,
+    /// The declared model in the same form.
+    pub declared: PhysicalModel,
     /// The search, for the report.
     pub found: SearchResult,
     /// Held-out errors beside before and after: (name, error).
@@ -74,6 +76,7 @@ pub fn verify_whisker(
         residuals: v.assessment.residuals,
         labels: check_labels(data, &open.path, &open.rod_tables),
         model: v.decision.calibration().clone(),
+        declared: v.decision.declared_calibration(),
         further: v.decision.left_out().errors.further.clone(),
         predictions: [v.assessment.before, v.assessment.after],
         branches: branches(open),

@@ -120,11 +120,12 @@ const MIN_PLACES: usize = 12;
 /// The covariate of a law, from 0 to 1, and how many different places it has; none where another law covers it.
 fn variable(law: &str, frame: &Frame) -> Option<(Vec<f64>, usize)> {
     // New rows are not searched: they follow the law that was fitted.
-    let same =
-        |a: &[f64], b: &[f64]| !frame.new_rows && !frame.counts_readings && correlation(a, b).abs() > SAME;
+    // A column that counts the readings stands in for a clock only where there is none.
+    let by_clock = frame.counts_readings && frame.time.is_some();
+    let same = |a: &[f64], b: &[f64]| !frame.new_rows && !by_clock && correlation(a, b).abs() > SAME;
     let n = frame.scaling.count;
     match law {
-        "over-stimulus" if frame.counts_readings => None,
+        "over-stimulus" if by_clock => None,
         "over-stimulus" => Some((frame.u.iter().map(|u| 0.5 * (u + 1.0)).collect(), frame.levels())),
         "over-time" => frame.time.as_ref().filter(|t| !same(t, &frame.u)).map(|t| (t.clone(), n)),
         _ => {

@@ -18,13 +18,13 @@ use text::{predictions_csv, scalar_csv};
 use wcal_calibration::{
     CalibrationModel, GivenCalibration, SessionSystem, WhiskerCalibration, WireParts, provenance, seal,
 };
-use wcal_contact::groove_comparison;
+use wcal_contact::groove_comparison::{self, Compared};
 use wcal_contact::session_groove;
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::sweep_witness::SweepWitness;
 use wcal_core::files::folder_of;
 use wcal_core::verify_document::{
-    CalibrationContact, CalibrationJudgement, GrooveTracking, HoldoutOutcome, Verdict, VerifyDocument,
+    CalibrationContact, CalibrationJudgement, HoldoutOutcome, Verdict, VerifyDocument,
 };
 use wcal_core::{Provenance, SealedRows, SessionData, VerificationStatus, WhiskerData};
 use wcal_report::ReportInput;
@@ -294,14 +294,15 @@ fn of_whisker_session(
     let on_request = !request.accept.is_empty();
     let mut report = of_whisker(session, (data, count), &done, on_request, provenance);
     // What the calibration says of contacts comes from the readings that it was fitted to; the sealed ones show whether it is true.
-    let own = groove_tracking(&done, &done.model, (&done.open, "fit"))?;
-    let contact = own.as_ref().and_then(groove_comparison::calibration_contact);
+    let own = groove_places(&done, &done.model, (&done.open, "fit"))?;
+    let contact = groove_comparison::groove_tracking(&own, "fit")
+        .as_ref()
+        .and_then(groove_comparison::calibration_contact);
     let split = if count > 0 { (&done.whole, "holdout") } else { (&done.open, "fit") };
-    let after = if count > 0 { groove_tracking(&done, &done.model, split)? } else { own };
-    let before = groove_tracking(&done, &done.declared, split)?;
-    report.verify.contact =
-        before.zip(after.as_ref()).map(|(b, a)| groove_comparison::contact_comparison(&b, a));
-    report.verify.groove_tracking = after;
+    let after = if count > 0 { groove_places(&done, &done.model, split)? } else { own };
+    let before = groove_places(&done, &done.declared, split)?;
+    report.verify.contact = groove_comparison::contact_comparison(&before, &after);
+    report.verify.groove_tracking = groove_comparison::groove_tracking(&after, split.1);
     Ok(Outcome {
         judged: given
             .map(|g| g.judge(SessionSystem::Whisker(&done.whole), request.search.seed))
@@ -321,23 +322,21 @@ fn witness(folder: &Path, data: &WhiskerData) -> anyhow::Result<SweepWitness> {
     Ok(SweepWitness::new(sweep, (&data.whisker, &data.moments), poses)?)
 }
 
-/// The tracker on the groove, through `model`, on the readings of a system: all of them (`fit`), or those that were sealed (`holdout`). None where the verdict accepts no calibration, or the stage's way is not recorded.
-fn groove_tracking(
+/// Places that the tracker finds through `model` beside the groove's, on the readings of a system: all of them (`fit`), or those that were sealed
+/// (`holdout`). None where the verdict accepts no calibration, or the stage's way is not recorded.
+fn groove_places(
     done: &WhiskerVerification,
     model: &PhysicalModel,
     (system, split): (&WhiskerSystem, &str),
-) -> anyhow::Result<Option<GrooveTracking>> {
+) -> anyhow::Result<Vec<Compared>> {
     let readings = 0..system.path.readings.len();
     let way_known = |i: usize| system.path.readings[i].rest || system.row(i).stage_mm.is_some();
     let accepted = matches!(done.document.verdict, Verdict::Adequate | Verdict::Effect | Verdict::TwinFault);
-    if !accepted || !readings.clone().all(way_known) {
-        return Ok(None);
-    }
-    let Some(motion) = model.groove_motion(system) else { return Ok(None) };
+    let motion = model.groove_motion(system).filter(|_| accepted && readings.clone().all(way_known));
+    let Some(motion) = motion else { return Ok(Vec::new()) };
     let [sealed, _] = system.held_out();
     let tracked = session_groove::track(system, motion, |i| sealed[i] == (split == "holdout"))?;
-    let compared = tracked.compared(system, |i| system.row(i).groove_mm)?;
-    Ok(groove_comparison::groove_tracking(&compared, split))
+    Ok(tracked.compared(system, |i| system.row(i).groove_mm)?)
 }
 
 fn of_scalar_session(

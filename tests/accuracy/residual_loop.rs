@@ -193,6 +193,17 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
     let run = demo();
     let said = String::from_utf8_lossy(&run.stdout);
     assert!(run.status.success() && said.contains("case-004 (SIMULATED): adequate"), "{said}");
+    // What it is all for: contacts in the groove before and after, first in the output, on the page and in the overview.
+    let bench = std::fs::read_to_string(out.join("practice-007/verify.json")).expect("file");
+    let contact: Value = serde_json::from_str::<Value>(&bench).expect("JSON")["contact"].clone();
+    let rms = |side: &str| contact[side]["rms_mm"].as_f64().expect("rms");
+    assert!(
+        rms("before") > 3.0 * rms("after") && rms("after") < 0.2,
+        "{} -> {}",
+        rms("before"),
+        rms("after")
+    );
+    assert!(said.lines().take(3).any(|line| line.trim_start().starts_with("contact: ")), "{said}");
     let read = |name: &str| std::fs::read_to_string(out.join(name)).expect(name);
     let accepted = read("whiskerfbg/verify.json");
     assert!(!accepted.contains("\"effect\"") && !earlier.join("calibration.json").exists(), "{accepted}");
@@ -202,7 +213,13 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
     assert!(2.0 * rmse("after") <= rmse("before"), "{} -> {}", rmse("before"), rmse("after"));
     let first = read("report.html");
     assert!(first.contains("<svg") && first.contains("case-004 (SIMULATED)"), "a chart, marked");
-    for (page, marked) in [("practice-004", true), ("pontius", false), ("whiskerfbg", false)] {
+    assert!(
+        first.contains("contact (mm)")
+            && read("practice-007/report.html").contains("Contact beside the groove")
+    );
+    for (page, marked) in
+        [("practice-007", true), ("practice-004", true), ("pontius", false), ("whiskerfbg", false)]
+    {
         assert_eq!(read(&format!("{page}/report.html")).contains("SIMULATED"), marked, "{page}");
     }
     let whisker = read("whiskerfbg/report.html");

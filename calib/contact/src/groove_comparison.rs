@@ -5,6 +5,7 @@ use crate::known_groove::binomial_cdf;
 use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::verify_document::{
     CalibrationContact, ContactComparison, ContactError, ContactUncertainty, GrooveTracking,
+    TrajectoryContact,
 };
 
 /// A located place beside the groove's.
@@ -91,15 +92,28 @@ pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTrack
     })
 }
 
-/// The same readings through the declared and through the accepted model.
-pub fn contact_comparison(before: &GrooveTracking, after: &GrooveTracking) -> ContactComparison {
-    ContactComparison {
-        before: ContactError { rms_mm: before.rmse_mm },
-        after: ContactError { rms_mm: after.rmse_mm },
-        bound_mm: after.bound_mm,
-        readings: after.points,
-        inside95: (after.coverage95 * after.points as f64).round() as usize,
-    }
+/// The same readings through the declared and through the accepted model; none where either compares nothing.
+pub fn contact_comparison(before: &[Compared], after: &[Compared]) -> Option<ContactComparison> {
+    let rms = |all: &[Compared], of: fn(&Compared) -> f64| {
+        (all.iter().map(|c| of(c).powi(2)).sum::<f64>() / all.len() as f64).sqrt()
+    };
+    let error = |all: &[Compared], trajectory: u32| {
+        let own: Vec<Compared> = all.iter().filter(|c| c.trajectory == trajectory).copied().collect();
+        (!own.is_empty()).then(|| rms(&own, |c| c.error_mm))
+    };
+    let first: BTreeMap<u32, f64> = after.iter().map(|c| (c.trajectory, c.arclength_mm)).collect();
+    let of = |(&trajectory, &arclength_mm): (&u32, &f64)| {
+        let (before_mm, after_mm) = (error(before, trajectory)?, error(after, trajectory)?);
+        Some(TrajectoryContact { trajectory, arclength_mm, before_mm, after_mm })
+    };
+    (!before.is_empty() && !after.is_empty()).then(|| ContactComparison {
+        before: ContactError { rms_mm: rms(before, |c| c.error_mm) },
+        after: ContactError { rms_mm: rms(after, |c| c.error_mm) },
+        bound_mm: rms(after, |c| c.bound_mm),
+        readings: after.len(),
+        inside95: after.iter().filter(|c| c.held).count(),
+        trajectories: first.iter().filter_map(of).collect(),
+    })
 }
 
 /// What the tracked groove tells a calibration's user of contacts; none where no trajectory was compared.

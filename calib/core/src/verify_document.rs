@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 pub use errors::{
     CalibrationContact, CalibrationJudgement, ContactComparison, ContactError, ContactUncertainty,
-    EffectAblation, GrooveTracking, HeldOutError, HoldoutJudgement, HoldoutOutcome,
+    EffectAblation, GrooveTracking, HeldOutError, HoldoutJudgement, HoldoutOutcome, TrajectoryContact,
 };
 pub use findings::{
     Detectable, EffectParameter, NamedEffect, NextMeasurement, NextPose, TwinCheck, TwinFault, UnknownEffect,

@@ -101,8 +101,21 @@ pub struct ContactError {
     pub rms_mm: f64,
 }
 
-/// Contacts whose place is known, tracked through the declared and through the accepted model.
+/// Contact of a trajectory by both models.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct TrajectoryContact {
+    /// Identifier of the trajectory.
+    pub trajectory: u32,
+    /// True arc length of first touch, mm.
+    pub arclength_mm: f64,
+    /// Error by the declared model, root mean square, mm.
+    pub before_mm: f64,
+    /// Error by the accepted model, mm.
+    pub after_mm: f64,
+}
+
+/// Contacts whose place is known, tracked through the declared and through the accepted model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ContactComparison {
     /// Declared model.
     pub before: ContactError,
@@ -114,6 +127,8 @@ pub struct ContactComparison {
     pub readings: usize,
     /// Those whose place lies in the accepted model's 95 % region.
     pub inside95: usize,
+    /// The same by trajectory, whose readings share one error.
+    pub trajectories: Vec<TrajectoryContact>,
 }
 
 /// The tracker on the groove: its place from the moments and the stage's way alone, compared with where it is known to be.

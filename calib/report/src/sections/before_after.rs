@@ -5,7 +5,8 @@ use crate::markup::{Table, TableCell, escape};
 use crate::number::{NOT_AVAILABLE, join_unit, number, percent, with_interval};
 use crate::plot::{Axis, Layer, Marker, Plot, svg};
 use wcal_core::verify_document::{
-    GrooveTracking, HeldOutError, HoldoutJudgement, HoldoutOutcome, NoiseFloor, VerifyDocument, WitnessTest,
+    ContactComparison, GrooveTracking, HeldOutError, HoldoutJudgement, HoldoutOutcome, NoiseFloor,
+    TrajectoryContact, VerifyDocument, WitnessTest,
 };
 
 /// One column: an error and the floor that it is held against.
@@ -143,6 +144,37 @@ fn groove(t: &GrooveTracking) -> String {
     )
 }
 
+/// Distance of the tracked contact from the groove on each trajectory, by both models.
+fn contact_figure(simulated: bool, c: &ContactComparison) -> String {
+    let by = |of: fn(&TrajectoryContact) -> f64| {
+        let places = c.trajectories.iter().map(move |t| [t.arclength_mm, of(t)]);
+        places.filter(|[_, error]| *error > 0.0).collect::<Vec<[f64; 2]>>()
+    };
+    let (before, after) = (by(|t| t.before_mm), by(|t| t.after_mm));
+    let all = || before.iter().chain(&after);
+    let points =
+        |class, marker, at: &[[f64; 2]]| Layer::Points { class, marker, at: at.to_vec(), titles: Vec::new() };
+    let chart = svg(&Plot {
+        title: "Contact beside the groove".into(),
+        description: "Distance of the tracked contact from where the groove is, by trajectory, declared and accepted model".into(),
+        width: 520.0,
+        height: 240.0,
+        x: Axis::covering("arc length of first touch (mm)", all().map(|p| p[0])),
+        y: Axis::log_covering("distance (mm)", all().map(|p| p[1]).chain([c.bound_mm])),
+        layers: vec![
+            Layer::HorizontalRule { at: c.bound_mm },
+            points("s2", Marker::Cross, &before),
+            points("s1", Marker::Diamond, &after),
+        ],
+    });
+    let caption = format!(
+        "Contacts in the groove, whose place is known: cross by the declared model ({:.2} mm RMS), diamond by the accepted one ({:.2} mm). Line: what \
+         moments and motion allow ({:.2} mm).",
+        c.before.rms_mm, c.after.rms_mm, c.bound_mm
+    );
+    super::parts::figure(simulated, "contacts", &chart, &caption)
+}
+
 /// Table and picture.
 pub(super) fn body(input: &ReportInput) -> String {
     let models = models(input);
@@ -157,6 +189,9 @@ pub(super) fn body(input: &ReportInput) -> String {
             "<p>The stated 95 % intervals hold <strong>{}</strong> of the held-out readings.</p>",
             percent(coverage)
         );
+    }
+    if let Some(contacts) = &input.verify.contact {
+        out += &contact_figure(input.verify.simulated, contacts);
     }
     if let Some(tracked) = &input.verify.groove_tracking {
         out += &groove(tracked);

@@ -98,6 +98,25 @@ fn labels_of_the_rod_itself_have_no_fault_and_each_kind_of_fault_is_named() {
     assert!(faults(&data, &system).iter().any(|f| f.kind == "discretisation"));
 }
 
+#[test]
+fn labels_about_other_axes_are_named_with_what_would_fit() {
+    for (change, kind, words) in [
+        ((|m| [-m[0], -m[1]]) as fn([f64; 2]) -> [f64; 2], "sign", "-1 times"),
+        (|m| [m[1], m[0]], "axes", "exchanged"),
+        (|m| [-m[1], m[0]], "axes", "turned by 90 deg"),
+        (|m| [m[0], -m[1]], "axes", "second axis reversed"),
+        (|m| [1.1 * (0.8 * m[0] - 0.6 * m[1]), 1.1 * (0.6 * m[0] + 0.8 * m[1])], "axes", "turned by 37 deg"),
+    ] {
+        let (data, system) = labelled(|_, m| change(m));
+        let found = faults(&data, &system);
+        assert_eq!((found.len(), found[0].kind.as_str()), (1, kind), "{words}: {found:?}");
+        assert!(found[0].detail.contains(words) && found[0].points.len() > 20, "{words}: {found:?}");
+    }
+    // Control: a wire clamped 3 degrees off about its own axis.
+    let (data, system) = labelled(|_, m| [m[0] - 0.052 * m[1], 0.052 * m[0] + m[1]]);
+    assert_eq!(faults(&data, &system), []);
+}
+
 // Noise.
 
 #[test]

@@ -17,10 +17,13 @@ use std::process::ExitCode;
 use wcal_acquisition::rig::Rig;
 use wcal_calibration::CalibrationModel;
 use wcal_contact::groove_comparison::contact_sentence;
-use wcal_contact::known_motion_stream::MotionAccuracy;
+use wcal_contact::reading::MotionAccuracy;
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::median_step_s;
+use wcal_contact::track_document::{TrackDocument, WhiskerDocument};
+use wcal_contact::track_table::TrackFiles;
 use wcal_contact::trust::{CheckedCalibration, WhiskerModel};
+use wcal_contact::whisker_track::Outcome;
 use wcal_core::CalibrationFile;
 use wcal_core::Purpose;
 use wcal_track::Tracker;
@@ -138,6 +141,10 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         }
     }
     if !trusted(args, &checked) {
+        eprintln!(
+            "track: exit code 4: nothing was written; verify the calibration anew, take the model of this whisker and pace, or pass --force: every \
+             row then says so"
+        );
         return Ok(ExitCode::from(4));
     }
     // A stream or a network takes no zero by itself.
@@ -169,6 +176,38 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         (_, Some((place, rig)), _) => live::track(args, &place, &rig, &loaded),
         (_, None, _) => bail!("expected --rig RIG for a stream, found none"),
     }
+}
+
+/// The end of every track: summary, sentences, and the exit code, with why it is not 0 and what to do in the last line.
+fn conclude(
+    args: &TrackArgs,
+    files: TrackFiles,
+    document: &TrackDocument,
+    (said, outcome): (Vec<String>, Outcome),
+) -> Result<ExitCode> {
+    let text = files.finish(document)?;
+    if args.json {
+        println!("{text}");
+    }
+    if document.simulated {
+        eprintln!("track: SIMULATED: the readings or the calibration are not measured");
+    }
+    let sum = |of: fn(&WhiskerDocument) -> u64| document.whiskers().map(of).sum::<u64>();
+    let [rows, outside, flagged] =
+        [sum(|w| w.rows), sum(|w| w.outside_valid_region), sum(|w| w.flagged_rows)];
+    if outside > 0 {
+        eprintln!(
+            "{outside} of {rows} readings lie outside the valid region; marked in outside_valid_region"
+        );
+    }
+    if flagged > 0 {
+        eprintln!("{flagged} of {rows} rows are flagged in status");
+    }
+    said.iter().for_each(|line| eprintln!("{line}"));
+    if let Some(why) = outcome.sentence(args.force) {
+        eprintln!("track: {why}");
+    }
+    Ok(ExitCode::from(outcome.exit_code(args.force)))
 }
 
 /// Prints why calibrations or models cannot be trusted, and the contact's uncertainty; returns whether rows may be written.

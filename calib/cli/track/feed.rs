@@ -3,7 +3,7 @@
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use wcal_acquisition::AcquisitionError;
-use wcal_acquisition::message::StagePosition;
+use wcal_acquisition::message::{StagePosition, SweepEvent};
 use wcal_acquisition::recorder::Recorder;
 use wcal_core::device::{DeviceError, FbgReading};
 
@@ -17,6 +17,10 @@ pub enum FeedItem {
     Scans(Vec<FbgReading>, u64),
     /// A position of the stage.
     Stage(StagePosition),
+    /// What a sweep did.
+    Event(SweepEvent),
+    /// Another recording begins.
+    Recording,
     /// The source failed.
     Failed(DeviceError),
 }

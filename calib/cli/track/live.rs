@@ -7,13 +7,13 @@ use crate::interrupt;
 use crate::progress::Progress;
 use crate::simulated::is_simulated;
 use anyhow::{Result, anyhow, bail};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::time::{Duration, Instant};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Duration;
 use wcal_acquisition::clock_watch::ClockFault;
 use wcal_acquisition::message::StagePosition;
 use wcal_acquisition::record::open_interrogator;
@@ -21,12 +21,13 @@ use wcal_acquisition::recorder::Recorder;
 use wcal_acquisition::replay::{Message, read};
 use wcal_acquisition::rig::Rig;
 use wcal_contact::groove_table::known_places;
-use wcal_contact::known_motion_stream::MotionAccuracy;
-use wcal_contact::stream_track::{StreamFindings, StreamSettings, StreamTracks, lost_text};
+use wcal_contact::reading::MotionAccuracy;
+use wcal_contact::stream_source::{StreamFindings, StreamSettings, StreamSource, lost_text};
+use wcal_contact::track::{Input, track as track_all};
 use wcal_contact::track_document::{TRACK_FORMAT, TrackDocument, TrackSource};
 use wcal_contact::track_table::TrackFiles;
 use wcal_contact::trust::WhiskerModel;
-use wcal_contact::whisker_track::Outcome;
+use wcal_contact::whisker_track::{Outcome, WhiskerTrack};
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::{Deadline, Interrupt};
 use wcal_core::device::{DeviceError, DeviceErrorKind, FbgReading};
@@ -37,12 +38,12 @@ use wcal_drivers::Drivers;
 
 /// A stream that is silent this long has failed.
 const SILENCE: Duration = Duration::from_secs(2);
-/// Rows stay in memory no longer than this.
-const FLUSH: Duration = Duration::from_millis(500);
 /// Scans between two reports of progress.
 const SCANS_SHOWN: u64 = 1000;
 /// Scans that may wait for the tracker; further ones are dropped, counted and flagged.
 const QUEUE: usize = 20_000;
+/// Messages of a recording that wait for the tracker.
+const RECORDED: usize = 256;
 /// Time between questions to a stage that carries the base.
 const STAGE_POLL: Duration = Duration::from_millis(20);
 
@@ -63,61 +64,55 @@ pub fn replay(
     loaded: &[WhiskerModel<'_>],
 ) -> Result<ExitCode> {
     let log = recorded_motion(args, parts)?;
-    let mut whiskers = StreamTracks::new(settings(args, rig), (place, rig), loaded, log)?;
+    let (mut stream, mut tracks) = StreamSource::new(settings(args, rig), (place, rig), loaded, log)?;
     if let Some((table, whisker)) = session_folder(args).and_then(session_points) {
-        whiskers.know_groove(&known_places(&table)?, whisker.as_deref());
+        stream.know_groove(&mut tracks, &known_places(&table)?, whisker.as_deref());
     }
     let mut files = output::create(&args.out)?;
-    let mut cut_off = Vec::new();
     let progress = Progress::new("track");
-    let mut ended = false;
+    let (sender, receiver) = sync_channel(RECORDED);
+    let (tracked, cut_off) = std::thread::scope(|scope| {
+        let reader = scope.spawn(move || recorded(parts, &sender));
+        let scans = Scans::new(args, &receiver, &mut stream, Some(&progress));
+        let tracked = track_all(scans, &mut tracks, &mut files);
+        // Whoever waits for room must not wait for ever.
+        drop(receiver);
+        (tracked, reader.join())
+    });
+    drop(progress);
+    let cut_off = cut_off.map_err(|_| anyhow!("reading the recordings failed"))?;
+    let (tracked, cut_off) = (tracked?, cut_off?);
+    let simulated = parts.iter().any(|part| is_simulated(part)) || by_simulation(loaded);
+    let source = TrackSource::Recordings(parts.to_vec());
+    conclude(args, (&stream, &tracks, tracked), files, (source, simulated), (0, Some(cut_off)))
+}
+
+/// Reads recordings into a queue, as far as somebody takes from it; those that are cut off.
+fn recorded(parts: &[PathBuf], queue: &SyncSender<FeedItem>) -> Result<Vec<String>> {
+    let mut cut_off = Vec::new();
     for part in parts {
-        let (mut failed, mut scans) = (None, 0_u64);
-        whiskers.begin_recording();
+        let (mut scans, mut taken) = (0_u64, queue.send(FeedItem::Recording).is_ok());
         let end = read(part, |message| {
-            if failed.is_some() || ended {
-                return;
-            }
-            match message {
+            let item = match message {
                 Message::Scan(scan) => {
                     scans += 1;
-                    let reading = scan.reading();
-                    whiskers.hear(&reading);
-                    ended = over(args, &whiskers, &reading);
-                    if ended {
-                        return;
-                    }
-                    failed = whiskers.scan(&reading, false, &mut files).err();
-                    if scans.is_multiple_of(SCANS_SHOWN) {
-                        let at_s = whiskers.elapsed_s(&reading);
-                        let stage = format!("{at_s:.0} s of the stream tracked");
-                        match args.seconds {
-                            Some(all_s) => progress.at(&stage, at_s / all_s),
-                            None => progress.stage(&stage),
-                        }
-                    }
+                    FeedItem::Scans(vec![scan.reading()], 0)
                 }
-                Message::Stage(position) => whiskers.stage(&position),
-                Message::Event(event) => whiskers.sweep_event(&event),
-                _ => {}
-            }
+                Message::Stage(position) => FeedItem::Stage(position),
+                Message::Event(event) => FeedItem::Event(event),
+                _ => return,
+            };
+            taken = taken && queue.send(item).is_ok();
         })?;
-        if let Some(error) = failed {
-            files.flush()?;
-            return Err(anyhow!(error).context(part.display().to_string()));
-        }
-        if scans == 0 && !ended {
-            return Err(anyhow!("{}: expected scans of an interrogator, found none", part.display()));
+        if scans == 0 && taken {
+            bail!("{}: expected scans of an interrogator, found none", part.display());
         }
         if !end.is_whole() {
             eprintln!("warning: {}: {end}; the readable part is tracked", part.display());
             cut_off.push(part.display().to_string());
         }
     }
-    drop(progress);
-    let simulated = parts.iter().any(|part| is_simulated(part)) || by_simulation(loaded);
-    let source = TrackSource::Recordings(parts.to_vec());
-    conclude(args, whiskers, files, (source, simulated), (0, Some(cut_off)))
+    Ok(cut_off)
 }
 
 /// Tracks the rig's interrogator until Ctrl-C, the end of the time or a fault.
@@ -131,7 +126,7 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
             log.display()
         );
     }
-    let mut whiskers = StreamTracks::new(settings(args, rig), (place, rig), loaded, None)?;
+    let (mut stream, mut tracks) = StreamSource::new(settings(args, rig), (place, rig), loaded, None)?;
     let clock = HostClock::start(rig.clock_scale);
     let interrupt = interrupt::watch()?;
     let mut interrogator = open_interrogator(&mut Drivers::new(&interrupt), &rig.interrogator, clock)?;
@@ -143,13 +138,14 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
     let done = AtomicBool::new(false);
     let (intake, receiver) = FeedInput::new(QUEUE, recorder.clone());
     let carried = rig.base.as_ref().is_some_and(|b| b.carried_along.is_some());
-    let failed = std::thread::scope(|scope| {
+    let tracked = std::thread::scope(|scope| {
         scope.spawn(|| acquire(interrogator.as_mut(), &intake, &done));
         if carried {
             scope.spawn(|| watch_stage(rig, clock, &intake, &interrupt, &done));
         }
         let ends = || done.load(Ordering::SeqCst) || interrupt.signal().is_some();
-        let result = consume(args, &receiver, &mut whiskers, &mut files, &ends);
+        let scans = Scans { ends: Some(&ends), ..Scans::new(args, &receiver, &mut stream, None) };
+        let result = track_all(scans, &mut tracks, &mut files);
         done.store(true, Ordering::SeqCst);
         // Whoever waits for room must not wait for ever.
         drop(receiver);
@@ -172,8 +168,9 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
         );
     }
     let source = (TrackSource::Device(source), simulated);
-    let code = conclude(args, whiskers, files, source, (dropped, None))?;
-    failed.map(|()| code)
+    let spent = *tracked.as_ref().unwrap_or(&Duration::ZERO);
+    let code = conclude(args, (&stream, &tracks, spent), files, source, (dropped, None))?;
+    tracked.map(|_| code)
 }
 
 /// The disk takes no more.
@@ -244,77 +241,111 @@ fn watch_stage(rig: &Rig, clock: HostClock, intake: &FeedInput, interrupt: &Inte
     }
 }
 
-/// Whether the time that was asked for is over.
-fn over(args: &TrackArgs, whiskers: &StreamTracks<'_>, reading: &FbgReading) -> bool {
-    args.seconds.is_some_and(|s| whiskers.elapsed_s(reading) >= s) && !whiskers.doubts_clock()
+/// The scans of a queue as a source of readings, until the time that was asked for is over or somebody ends it.
+struct Scans<'q, 'a> {
+    args: &'q TrackArgs,
+    receiver: &'q Receiver<FeedItem>,
+    stream: &'q mut StreamSource<'a>,
+    /// Of a live stream: a clock that stands still is a fault.
+    ends: Option<&'q dyn Fn() -> bool>,
+    progress: Option<&'q Progress>,
+    ready: VecDeque<Input>,
+    scans: u64,
+    over: bool,
 }
 
-/// Tracks what the queue gives.
-fn consume(
-    args: &TrackArgs,
-    receiver: &Receiver<FeedItem>,
-    whiskers: &mut StreamTracks<'_>,
-    files: &mut TrackFiles,
-    ends: &dyn Fn() -> bool,
-) -> Result<()> {
-    let mut flushed = Instant::now();
-    while !ends() {
-        match receiver.recv_timeout(Duration::from_millis(100)) {
-            Ok(FeedItem::Scans(readings, mut dropped)) => {
+impl<'q, 'a> Scans<'q, 'a> {
+    fn new(
+        args: &'q TrackArgs,
+        receiver: &'q Receiver<FeedItem>,
+        stream: &'q mut StreamSource<'a>,
+        progress: Option<&'q Progress>,
+    ) -> Self {
+        Self { args, receiver, stream, ends: None, progress, ready: VecDeque::new(), scans: 0, over: false }
+    }
+
+    fn scan(&mut self, reading: &FbgReading, dropped: bool) -> Result<()> {
+        let fault = self.stream.hear(reading);
+        if let Some(fault @ ClockFault::Stopped { .. }) = fault.filter(|_| self.ends.is_some()) {
+            return Err(fault.error().into());
+        }
+        let at_s = self.stream.elapsed_s(reading);
+        self.over = self.args.seconds.is_some_and(|s| at_s >= s) && !self.stream.doubts_clock();
+        if self.over {
+            return Ok(());
+        }
+        self.ready.extend(self.stream.scan(reading, dropped)?);
+        self.scans += 1;
+        if let Some(progress) = self.progress.filter(|_| self.scans.is_multiple_of(SCANS_SHOWN)) {
+            let stage = format!("{at_s:.0} s of the stream tracked");
+            match self.args.seconds {
+                Some(all_s) => progress.at(&stage, at_s / all_s),
+                None => progress.stage(&stage),
+            }
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, item: FeedItem) -> Result<()> {
+        match item {
+            FeedItem::Scans(readings, mut dropped) => {
                 for reading in &readings {
-                    if let Some(fault @ ClockFault::Stopped { .. }) = whiskers.hear(reading) {
-                        return Err(fault.error().into());
+                    self.scan(reading, std::mem::take(&mut dropped) > 0)?;
+                    if self.over {
+                        break;
                     }
-                    if over(args, whiskers, reading) {
-                        return Ok(());
-                    }
-                    whiskers.scan(reading, std::mem::take(&mut dropped) > 0, files)?;
                 }
             }
-            Ok(FeedItem::Stage(position)) => whiskers.stage(&position),
-            Ok(FeedItem::Failed(error)) => return Err(error.into()),
-            Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => return Ok(()),
+            FeedItem::Stage(position) => self.stream.stage(&position),
+            FeedItem::Event(event) => self.stream.sweep_event(&event),
+            FeedItem::Recording => self.stream.begin_recording(),
+            FeedItem::Failed(error) => return Err(error.into()),
         }
-        if flushed.elapsed() > FLUSH {
-            files.flush()?;
-            flushed = Instant::now();
+        Ok(())
+    }
+}
+
+impl Iterator for Scans<'_, '_> {
+    type Item = Result<Input>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if let Some(input) = self.ready.pop_front() {
+            return Some(Ok(input));
+        }
+        if self.over || self.ends.is_some_and(|ends| ends()) {
+            return None;
+        }
+        match self.receiver.recv_timeout(Duration::from_millis(100)) {
+            Ok(item) => match self.take(item) {
+                Ok(()) => Some(Ok(self.ready.pop_front().unwrap_or(Input::Idle))),
+                Err(why) => Some(Err(why)),
+            },
+            Err(RecvTimeoutError::Timeout) => Some(Ok(Input::Idle)),
+            Err(RecvTimeoutError::Disconnected) => None,
         }
     }
-    Ok(())
 }
 
 /// Summary, files, exit code.
 fn conclude(
     args: &TrackArgs,
-    mut whiskers: StreamTracks<'_>,
-    mut files: TrackFiles,
+    (stream, tracks, tracked): (&StreamSource<'_>, &[WhiskerTrack<'_>], Duration),
+    files: TrackFiles,
     (source, simulated): (TrackSource, bool),
     (dropped, cut_off): (u64, Option<Vec<String>>),
 ) -> Result<ExitCode> {
-    whiskers.end(&mut files)?;
     let is_cut_off = cut_off.as_ref().is_some_and(|parts| !parts.is_empty());
-    let StreamFindings { document, messages, outcome } = whiskers.findings(cut_off, dropped);
-    if simulated {
-        eprintln!("track: SIMULATED: the readings or the calibration are not measured");
-    }
-    eprintln!("track: lag {} s: t_s is the time of validity", document.lag_s.unwrap_or_default());
-    let outside: u64 = document.whiskers.iter().map(|w| w.rows.outside_valid_region).sum();
-    if outside > 0 {
-        eprintln!("{outside} rows lie outside the valid region; marked in outside_valid_region");
-    }
-    for name in whiskers.unheard() {
-        let whose = if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
-        eprintln!("warning: {whose}no quiet prefix of {PREFIX_S} s: the noise of the rows is not known");
-    }
-    let loss = lost_text(whiskers.lost(), dropped);
-    if let Some(loss) = &loss {
-        eprintln!("warning: {loss}");
-    }
-    for fault in whiskers.clock_faults() {
-        eprintln!("warning: interrogator: {fault}");
-    }
-    messages.iter().for_each(|line| eprintln!("{line}"));
+    let StreamFindings { document, messages, outcome } = stream.findings(tracks, (cut_off, dropped), tracked);
+    let mut said =
+        vec![format!("track: lag {} s: t_s is the time of validity", document.lag_s.unwrap_or_default())];
+    let of = |name: &str| if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
+    said.extend(stream.unheard().into_iter().map(|name| {
+        format!("warning: {}no quiet prefix of {PREFIX_S} s: the noise of the rows is not known", of(name))
+    }));
+    let loss = lost_text(stream.lost(), dropped);
+    said.extend(loss.iter().map(|loss| format!("warning: {loss}")));
+    said.extend(stream.clock_faults().iter().map(|fault| format!("warning: interrogator: {fault}")));
+    said.extend(messages);
     let document = TrackDocument {
         format: TRACK_FORMAT,
         source,
@@ -323,13 +354,8 @@ fn conclude(
         table: None,
         stream: Some(document),
     };
-    let text = files.finish(&document)?;
-    if args.json {
-        println!("{text}");
-    }
-    let lost = loss.is_some() || is_cut_off || !whiskers.clock_faults().is_empty();
-    let outcome = outcome.and(Outcome { lost, ..Outcome::default() });
-    Ok(ExitCode::from(outcome.exit_code(args.force)))
+    let lost = loss.is_some() || is_cut_off || !stream.clock_faults().is_empty();
+    super::conclude(args, files, &document, (said, outcome.and(Outcome { lost, ..Outcome::default() })))
 }
 
 /// What the arguments say of a stream.

@@ -32,12 +32,14 @@ pub fn off_object(score: Option<&MeshScore>) -> Option<String> {
     ))
 }
 
-/// The score for people.
-pub fn say_object_score(score: Option<&MeshScore>) {
-    let Some(s) = score else { return };
-    let d = &s.distances;
-    eprintln!(
-        "{} contacts lie {:.2} mm RMS from the outside of the object's mesh (mean {:.2}, median {:.2}, 95 % below {:.2})",
-        s.points, d.rmse_mm, d.mean_mm, d.median_mm, d.p95_mm
-    );
+/// The score for people; nothing without one.
+pub fn said_of_object(score: Option<&MeshScore>) -> Vec<String> {
+    let said = |s: &MeshScore| {
+        let d = &s.distances;
+        format!(
+            "{} contacts lie {:.2} mm RMS from the outside of the object's mesh (mean {:.2}, median {:.2}, 95 % below {:.2})",
+            s.points, d.rmse_mm, d.mean_mm, d.median_mm, d.p95_mm
+        )
+    };
+    score.map(said).into_iter().collect()
 }

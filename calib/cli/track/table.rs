@@ -1,11 +1,12 @@
 //! Tracks of a table or of a session, whatever locates the contacts.
 
-use super::object::{off_object, passed_object, say_object_score};
+use super::object::{off_object, passed_object, said_of_object};
 use super::{ACCURACY, TrackArgs, output};
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
 use std::process::ExitCode;
+use wcal_contact::ContactError;
 use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::Estimator;
 use wcal_contact::known_groove::KnownGroove;
@@ -16,6 +17,7 @@ use wcal_contact::session_groove::{session_readings, without_groove};
 use wcal_contact::static_arc::StaticArc;
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::TableSource;
+use wcal_contact::track::Input;
 use wcal_contact::track_document::{
     AXIS_OF_WIRE, LogDocument, TRACK_FORMAT, TableDocument, TrackDocument, TrackSource,
 };
@@ -122,7 +124,7 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
         let groove_tracking = None;
         Prepared { readings, frame, estimator, followed, tare_s, groove, log, groove_tracking, simulated }
     };
-    if let Some(network) = loaded.estimator(args.sweep) {
+    if let Some(network) = loaded.estimator(args.sweep)? {
         return Ok(prepared(
             source.past_object(args.base_mm_s)?,
             Box::new(network),
@@ -212,7 +214,7 @@ fn log_document(file: &Path, logged: &LoggedMotion) -> LogDocument {
 /// Where a reading cannot be used, or the disk takes no more.
 pub fn track(
     args: &TrackArgs,
-    source: &Path,
+    place: &Path,
     of: Prepared<'_>,
     loaded: &WhiskerModel<'_>,
 ) -> Result<ExitCode> {
@@ -227,19 +229,12 @@ pub fn track(
     let radius_mm = if on_axis { 0.5 * loaded.whisker().map_or(0.0, |w| w.diameter_mm) } else { 0.0 };
     let mut track = WhiskerTrack::new(facts, (of.frame, of.estimator), of.tare_s, of.followed);
     track.know_groove(of.groove);
-    track.know_object(passed_object(source, radius_mm)?);
-    crate::predict::record_if_sealed(source, &args.out)?;
+    track.know_object(passed_object(place, radius_mm)?);
+    crate::predict::record_if_sealed(place, &args.out)?;
     let mut files = output::create(&args.out)?;
-    let mut unusable = 0;
-    for reading in of.readings {
-        unusable += u64::from(reading.moments.is_none());
-        for row in track.push(reading)? {
-            files.row(&row)?;
-        }
-    }
-    for row in track.finish()? {
-        files.row(&row)?;
-    }
+    let mut unusable = of.readings.iter().filter(|r| r.moments.is_none()).count() as u64;
+    let source = of.readings.into_iter().map(|r| Ok::<_, ContactError>(Input::Reading(0, Box::new(r))));
+    wcal_contact::track::track(source, std::slice::from_mut(&mut track), &mut files)?;
 
     let found = track.findings();
     let (mut whisker, mut log) = (found.document, of.log);
@@ -247,11 +242,10 @@ pub fn track(
         unusable += lost.values().sum::<u64>();
         log.lost_rows = lost;
     }
-    let [rows, outside, flagged] = [whisker.rows, whisker.outside_valid_region, whisker.flagged_rows];
     let on_object = track.object_score();
     let document = TrackDocument {
         format: TRACK_FORMAT,
-        source: TrackSource::File(source.to_owned()),
+        source: TrackSource::File(place.to_owned()),
         simulated: of.simulated || loaded.file.provenance.simulated,
         out: args.out.clone(),
         table: Some(TableDocument {
@@ -265,26 +259,10 @@ pub fn track(
         }),
         stream: None,
     };
-    if document.simulated {
-        eprintln!("track: SIMULATED: the readings or the calibration are not measured");
-    }
-    let text = files.finish(&document)?;
-    if args.json {
-        println!("{text}");
-    }
-    if outside > 0 {
-        eprintln!(
-            "{outside} of {rows} readings lie outside the valid region; marked in outside_valid_region"
-        );
-    }
-    if flagged > 0 {
-        eprintln!("{flagged} of {rows} rows are flagged in status");
-    }
-    say_object_score(on_object.as_ref());
-    found.messages.iter().for_each(|m| eprintln!("{}", m.line("")));
+    let mut said = said_of_object(on_object.as_ref());
+    said.extend(found.messages.iter().map(|m| m.line("")));
     let against = off_object(on_object.as_ref());
-    against.iter().for_each(|said| eprintln!("warning: {said}"));
-    let outcome =
-        found.outcome.and(Outcome { lost: unusable > 0, doubt: against.is_some(), ..Outcome::default() });
-    Ok(ExitCode::from(outcome.exit_code(args.force)))
+    let outcome = Outcome { lost: unusable > 0, doubt: against.is_some(), ..Outcome::default() };
+    said.extend(against.map(|said| format!("warning: {said}")));
+    super::conclude(args, files, &document, (said, found.outcome.and(outcome)))
 }

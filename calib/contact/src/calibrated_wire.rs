@@ -1,8 +1,8 @@
 //! The wire of a whisker as its calibration has it: every way to locate a contact bends this one.
 
 use crate::ContactError;
-use crate::known_motion::{Friction, MomentField};
-use crate::reading::Moments;
+use crate::known_motion::{Friction, MomentField, MotionRow, Settings};
+use crate::reading::{Moments, MotionAccuracy, Reading};
 use crate::sliding::TouchedWire;
 use nalgebra::{Matrix2, Vector3};
 use std::sync::Arc;
@@ -64,6 +64,31 @@ impl CalibratedWire {
         let zero = zero.column_iter().map(|c| [c[0], c[1]]).collect::<Vec<_>>();
         let stiffness = (self.stiffness_sd() > 0.0).then(|| m.moment_nmm.map(|m| self.stiffness_sd() * m));
         m.shared_nmm.iter().copied().chain(zero).chain(stiffness).collect()
+    }
+
+    /// A reading along its motion, where its moments and motion are known; without a noise of its own it has that from pose to pose.
+    pub fn row(&self, reading: &Reading, accuracy: &MotionAccuracy) -> Option<MotionRow> {
+        let (m, motion) = (reading.moments.as_ref()?, reading.motion.as_ref().ok()?);
+        Some(MotionRow {
+            t_s: reading.t_s,
+            moment_nmm: m.moment_nmm,
+            noise_nmm2: m.own_nmm2.unwrap_or(m.pose_nmm2),
+            free_nmm2: m.own_nmm2.map(|own| own + m.zero_nmm2),
+            shared_displacement_mm: Vec::new(),
+            shared_nmm: self.shared_columns(m),
+            moved_mm: motion.moved_mm,
+            turn: motion.turn,
+            velocity_mm_s: motion.velocity_mm_s,
+            moved_sd_mm: accuracy.moved_sd_mm,
+            free: reading.in_prefix,
+            contact_segment: 0,
+        })
+    }
+
+    /// What is assumed of a contact at a fixed point.
+    pub fn settings(&self, accuracy: &MotionAccuracy) -> Settings {
+        let (clock_sd_s, stiffness_sd) = (accuracy.clock_sd_s, self.stiffness_sd());
+        Settings { clock_sd_s, stiffness_sd, ..Settings::default() }
     }
 
     /// As one that is touched at one place, whatever touches it.

@@ -4,6 +4,7 @@ use crate::ContactError;
 use crate::arc_posterior::Region;
 use crate::known_motion::EpisodeContact;
 use crate::reading::Reading;
+use crate::regimes::{Alternative, averaged};
 use crate::track_document::EstimatorDocument;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use wcal_core::stream::Flags;
@@ -65,6 +66,16 @@ pub struct Contact {
     pub number: Option<u64>,
     /// Whether the place is a point of the object's surface as far as the estimator knows.
     pub on_object: bool,
+}
+
+impl Contact {
+    /// What the ways in which a contact may move state together; `on_object`: whether its place is a point of the object.
+    pub fn averaged(all: &[Alternative], flags: Flags, on_object: impl Fn(&EpisodeContact) -> bool) -> Self {
+        let Some((place, arc)) = averaged(all) else { return Self { flags, ..Self::default() } };
+        let (estimate, regions, on_object) =
+            (ContactEstimate::of_place(&place), arc.regions(), on_object(&place));
+        Self { estimate, flags, regions, on_object, ..Self::default() }
+    }
 }
 
 /// Locates the contacts of one whisker; readings and contacts are in the frame of its wire ([`crate::frame`]).

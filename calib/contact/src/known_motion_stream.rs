@@ -8,17 +8,17 @@
 use crate::ContactError;
 use crate::arc_posterior::ArcDensity;
 use crate::calibrated_wire::CalibratedWire;
-use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
+use crate::estimator::{Contact, Estimator, Findings, Message};
 use crate::known_motion::contact_stream::FinishedEpisode;
 use crate::known_motion::{
     ContactStream, CorrelatedNoise, EpisodeContact, MotionRow, Settings, StreamedContact,
 };
-use crate::reading::{Moments, Reading, RowMotion};
+use crate::reading::{Moments, MotionAccuracy, Reading, RowMotion};
 use crate::regimes::{
-    ANY_OBJECT, Alternative, CREEP_SDS, GROOVE, MIN_WEIGHT, Regime, RegimeWeights, anywhere_evidence,
-    averaged, creeping_evidence, point_evidence,
+    ANY_OBJECT, Alternative, CREEP_SDS, ContactWeights, GROOVE, MIN_WEIGHT, OUT, Regime, RegimeWeights,
+    Weighed,
 };
-use crate::sliding::{Blocks, SlidingStream, reversed};
+use crate::sliding::{Blocks, SlidingStream};
 use crate::static_arc::StaticArc;
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
 use nalgebra::{Matrix2, Vector3};
@@ -37,15 +37,6 @@ const MIN_BLOCKS: usize = 3;
 /// A contact goes on over rows without moments or motion for so long, s: the displacement is known again after them.
 const MAX_LOST_S: f64 = 1.0;
 
-/// What is assumed of the motion.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MotionAccuracy {
-    /// Standard deviation of the displacement in each coordinate, mm.
-    pub moved_sd_mm: f64,
-    /// Standard deviation of the clock's offset, s.
-    pub clock_sd_s: f64,
-}
-
 /// The contact at hand.
 struct Touch {
     number: u64,
@@ -55,9 +46,7 @@ struct Touch {
     rows: Vec<MotionRow>,
     blocks: Blocks,
     sliding: Option<SlidingStream>,
-    weights: RegimeWeights,
-    /// How much it creeps most probably, where it does.
-    creep_sd: f64,
+    weights: ContactWeights,
 }
 
 /// The estimator of one whisker.
@@ -103,12 +92,7 @@ impl KnownMotionStream {
         let pose_nmm2 = m.pose_nmm2;
         let stream = self.stream.get_or_insert_with(|| {
             let correlated = Some(CorrelatedNoise::ByPose { covariance_nmm2: pose_nmm2, length_mm: POSE_MM });
-            let fixed = Settings {
-                clock_sd_s: self.accuracy.clock_sd_s,
-                stiffness_sd: self.wire.stiffness_sd(),
-                correlated,
-                ..Settings::default()
-            };
+            let fixed = Settings { correlated, ..self.wire.settings(&self.accuracy) };
             let mut settings = vec![fixed];
             if self.prior.of(Regime::Creeping) > 0.0 {
                 settings.extend(CREEP_SDS.map(|creep_sd| Settings { creep_sd, ..fixed }));
@@ -118,48 +102,32 @@ impl KnownMotionStream {
         if self.last_s.replace(row.t_s).is_some_and(|last| row.t_s - last > MAX_LOST_S) {
             stream.interrupt();
         }
-        let reading = MotionRow {
-            t_s: row.t_s,
-            moment_nmm: m.moment_nmm,
-            noise_nmm2: m.own_nmm2.unwrap_or(pose_nmm2 * WHITE * WHITE),
-            shared_nmm: self.wire.shared_columns(m),
-            free_nmm2: None,
-            shared_displacement_mm: Vec::new(),
-            moved_mm: motion.moved_mm,
-            turn: motion.turn,
-            velocity_mm_s: motion.velocity_mm_s,
-            moved_sd_mm: self.accuracy.moved_sd_mm,
-            free: row.in_prefix,
-            contact_segment: 0,
-        };
-        let found = stream.push(&reading, motion.piece, motion.push)?;
-        // Without a noise of its own a row of a block has that from pose to pose.
-        let reading = MotionRow { noise_nmm2: m.own_nmm2.unwrap_or(pose_nmm2), ..reading };
+        let Some(reading) = self.wire.row(row, &self.accuracy) else { return Ok(Contact::default()) };
+        let own_nmm2 = m.own_nmm2.unwrap_or(pose_nmm2 * WHITE * WHITE);
+        let own = MotionRow { noise_nmm2: own_nmm2, free_nmm2: None, ..reading.clone() };
+        let found = stream.push(&own, motion.piece, motion.push)?;
+        let reading = MotionRow { free_nmm2: None, ..reading };
         let slid = self.weigh(&reading, &found, pose_nmm2)?;
-        let weights = self.touch.as_ref().map_or(self.prior, |t| t.weights);
-        let creep_sd = self.touch.as_ref().map_or(CREEP_SDS[1], |t| t.creep_sd);
-        let creeping = 1 + CREEP_SDS.iter().position(|sd| *sd == creep_sd).unwrap_or(0);
-        let ways = [(0, Regime::Fixed), (creeping, Regime::Creeping)];
-        let mut all: Vec<Alternative> = ways
-            .into_iter()
-            .filter_map(|(k, regime)| {
-                let (place, arc) = found.places.get(k)?.clone();
-                Some(Alternative { weight: weights.of(regime), place, arc })
+        let weights = self.touch.as_ref().map_or(ContactWeights::prior(self.prior), |t| t.weights);
+        let each = weights.points().into_iter().zip(&found.places);
+        let mut all: Vec<Alternative> = each
+            .map(|((weight, ..), (place, arc))| Alternative {
+                weight,
+                place: place.clone(),
+                arc: arc.clone(),
             })
             .collect();
-        let weight = weights.of(Regime::Sliding);
+        let weight = weights.regimes.of(Regime::Sliding);
         all.extend(slid.map(|(place, arc)| Alternative { weight, place, arc }));
-        let slides = found.loaded && weight > 0.5;
-        let disagrees = found.disagrees || slides || (found.loaded && weights.no_motion() > 0.5);
-        self.disagreeing += u64::from(disagrees);
-        self.slid += u64::from(slides);
-        let mut flags = if disagrees { Flags::MOTION_DISAGREES } else { Flags::default() };
-        if slides {
-            flags = flags.with(Flags::SLIDING_ASSUMED);
-        }
-        let Some((place, arc)) = averaged(&all) else { return Ok(Contact { flags, ..Contact::default() }) };
-        let (estimate, regions) = (ContactEstimate::of_place(&place), arc.regions());
-        Ok(Contact { estimate, flags, regions, on_object: place.contact >= TOUCHED, ..Contact::default() })
+        // Outside of a contact nothing is in doubt.
+        let flags = match found.loaded {
+            true => weights.flags(found.disagrees, false),
+            false if found.disagrees && !weights.slides() => Flags::MOTION_DISAGREES,
+            false => Flags::default(),
+        };
+        self.disagreeing += u64::from(flags.has(Flags::MOTION_DISAGREES));
+        self.slid += u64::from(flags.has(Flags::SLIDING_ASSUMED));
+        Ok(Contact::averaged(&all, flags, |place| place.contact >= TOUCHED))
     }
 
     /// Weighs the contact at hand where a block of its readings is complete; where it is as one that slides.
@@ -181,8 +149,7 @@ impl KnownMotionStream {
                 rows: Vec::new(),
                 blocks: Blocks::default(),
                 sliding: None,
-                weights: self.prior.after(&[0.0, 0.0, OUT, OUT, OUT]),
-                creep_sd: CREEP_SDS[1],
+                weights: ContactWeights::prior(self.prior),
             });
         }
         let Some(touch) = self.touch.as_mut().filter(|_| found.loaded) else { return Ok(None) };
@@ -201,45 +168,29 @@ impl KnownMotionStream {
         }
         // The noise from pose to pose is one draw for a block.
         let noisy = |row: &MotionRow| MotionRow { noise_nmm2: row.noise_nmm2 + pose_nmm2, ..row.clone() };
-        let means: Vec<MotionRow> = touch.blocks.means.at_middles().iter().map(noisy).collect();
-        let before = touch.before.as_ref().map(noisy);
-        let settings = Settings {
-            clock_sd_s: self.accuracy.clock_sd_s,
-            stiffness_sd: self.wire.stiffness_sd(),
-            ..Settings::default()
+        let weighed = Weighed {
+            field: &self.wire.field,
+            settings: self.wire.settings(&self.accuracy),
+            push: touch.push,
+            before: touch.before.as_ref().map(noisy),
+            blocks: touch.blocks.means.at_middles().iter().map(noisy).collect(),
+            factors: false,
         };
-        let field = &self.wire.field;
-        let of = |creep_sd: f64| {
-            let settings = Settings { creep_sd, ..settings };
-            point_evidence(field, &settings, touch.push, before.as_ref(), &means)
-        };
-        let creeping = match self.prior.of(Regime::Creeping) > 0.0 {
-            true => creeping_evidence(of),
-            false => (OUT, 0.0),
-        };
-        let back = reversed(&means);
-        let back_before = before.as_ref().map(|row| reversed(std::slice::from_ref(row)).remove(0));
         let sliding = touch.sliding.as_ref().and_then(SlidingStream::ln_evidence);
-        touch.weights = self.prior.after(&[
-            of(0.0),
-            creeping.0,
-            sliding.filter(|(_, solved)| *solved == blocks).map_or(OUT, |s| s.0),
-            point_evidence(field, &settings, -touch.push, back_before.as_ref(), &back),
-            anywhere_evidence(&means),
-        ]);
-        touch.creep_sd = creeping.1;
-        if touch.sliding.is_none() && (found.disagrees || touch.weights.of(Regime::Fixed) < 0.5) {
+        let sliding = sliding.filter(|(_, solved)| *solved == blocks).map_or(OUT, |s| s.0);
+        touch.weights = weighed.weights(self.prior, [sliding, OUT], false);
+        if touch.sliding.is_none() && (found.disagrees || touch.weights.regimes.of(Regime::Fixed) < 0.5) {
             touch.sliding = Some(SlidingStream::new(self.wire.touched()?, &std::mem::take(&mut touch.rows)));
         }
-        Ok(slid.filter(|_| touch.weights.of(Regime::Sliding) > MIN_WEIGHT))
+        Ok(slid.filter(|_| touch.weights.regimes.of(Regime::Sliding) > MIN_WEIGHT))
     }
 
     fn messages(&self) -> Vec<Message> {
         let mut all = Vec::new();
         if self.slid > 0 {
             all.push(Message::warning(format!(
-                "{} of {} rows: no fixed point of the object explains the moments, a contact that slides does, as it does where motion or calibration \
-                 are wrong; marked sliding-assumed in status",
+                "{} of {} rows: no fixed point of the object explains the moments, a contact that slides does; where it ends is not seen yet; marked \
+                 sliding-assumed in status",
                 self.slid, self.rows
             )));
         }
@@ -268,8 +219,6 @@ impl KnownMotionStream {
 
 /// Contacts of this probability and more are points of the object.
 const TOUCHED: f64 = 0.9;
-/// ln p(m) of a way that is not looked at.
-const OUT: f64 = f64::NEG_INFINITY;
 
 impl Estimator for KnownMotionStream {
     fn push(&mut self, row: &Reading) -> Result<Vec<Contact>, ContactError> {

@@ -4,18 +4,16 @@
 use crate::ContactError;
 use crate::arc_posterior::ArcDensity;
 use crate::calibrated_wire::CalibratedWire;
-use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
+use crate::estimator::{Contact, Estimator, Findings, Message};
 use crate::known_motion::contact_path::{ContactPath, loaded};
 use crate::known_motion::{
     Episode, EpisodeContact, EpisodeEstimate, MotionRow, Posterior, Settings, episodes, estimate_contact,
 };
-use crate::known_motion_stream::MotionAccuracy;
-use crate::reading::Reading;
+use crate::reading::{MotionAccuracy, Reading};
 use crate::regimes::{
-    ANY_OBJECT, Alternative, MIN_WEIGHT, Regime, RegimeWeights, SWEPT_OBJECT, anywhere_evidence, averaged,
-    creeping_evidence, point_evidence,
+    ANY_OBJECT, Alternative, ContactWeights, MIN_WEIGHT, Misstatement, Regime, SWEPT_OBJECT, Weighed,
 };
-use crate::sliding::{SlidingContact, TouchedWire, locate_sliding, reversed};
+use crate::sliding::{SlidingContact, TouchedWire, locate_sliding};
 use crate::static_arc::StaticArc;
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
 use nalgebra::Matrix2;
@@ -25,8 +23,6 @@ use wcal_core::stream::Flags;
 
 /// Noise from pose to pose is one draw for poses nearer than this, mm: rows of a dense record are not that many poses. An assumption.
 const SAME_POSE_MM: f64 = 1.0;
-/// What the freedom of a surface costs of the evidence of a block, at most.
-const SURFACE_COST: f64 = 4.0;
 /// Readings past the end of an episode, which show whether the load was lost at once.
 const PAST: usize = 2;
 
@@ -35,52 +31,30 @@ struct TableContact {
     /// Its readings among those whose motion is known: first, and one past the last.
     range: [usize; 2],
     span_s: [f64; 2],
-    weights: RegimeWeights,
-    /// As one at a point that stays, that creeps, and that stays along the reversed motion; those that may be.
-    points: Vec<(Regime, EpisodeEstimate)>,
+    weights: ContactWeights,
+    /// As one at a point, with its weight and what would be misstated; those that may be, the fixed one first.
+    points: Vec<(f64, Misstatement, EpisodeEstimate)>,
     /// As one that slides.
     sliding: SlidingContact,
-    /// In a sweep over an object, where sliding is the normal case.
-    over_object: bool,
 }
 
 impl TableContact {
-    /// The likelier of the points that stay and creep.
+    /// The likeliest of the points along the motion as it is stated.
     fn point(&self) -> &EpisodeEstimate {
-        let of = |a: &&(Regime, EpisodeEstimate)| self.weights.of(a.0);
-        let own = self.points.iter().filter(|p| p.0 != Regime::Reversed);
-        &own.max_by(|a, b| of(a).total_cmp(&of(b))).unwrap_or(&self.points[0]).1
-    }
-
-    fn slides(&self) -> bool {
-        self.weights.of(Regime::Sliding) > 0.5
-    }
-
-    /// Whether moments and motion do not belong together.
-    fn disagrees(&self) -> bool {
-        self.weights.no_motion() > 0.5 || (!self.slides() && self.point().disagrees())
-    }
-
-    /// Whether it slides, which is no doubt.
-    fn slides_over_object(&self) -> bool {
-        self.slides() && self.over_object && self.sliding.sure()
+        let own = self.points.iter().filter(|p| p.1 == Misstatement::NONE);
+        &own.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or(&self.points[0]).2
     }
 
     fn flags(&self) -> Flags {
-        match (self.slides(), self.over_object) {
-            (true, true) if self.sliding.sure() => Flags::default(),
-            (true, true) => Flags::SLIDING_ASSUMED,
-            (true, false) => Flags::SLIDING_ASSUMED.with(Flags::MOTION_DISAGREES),
-            (false, _) if self.disagrees() => Flags::MOTION_DISAGREES,
-            (false, _) => Flags::default(),
-        }
+        self.weights.flags(self.point().disagrees(), self.sliding.sure())
     }
 
     /// As one that slides at a reading: where the path has no place yet, that of the nearest reading goes with the object.
     fn slid(&self, rows: &[MotionRow], k: usize) -> Option<(EpisodeContact, ArcDensity)> {
         let places = &self.sliding.places;
         let located = (0..places.len()).filter(|j| places[*j].place_mm.is_some());
-        let near = located.min_by_key(|j| j.abs_diff(k)).filter(|near| *near == k || !self.slides())?;
+        let near =
+            located.min_by_key(|j| j.abs_diff(k)).filter(|near| *near == k || !self.weights.slides())?;
         let turn = rows[k].turn * rows[near].turn.inverse();
         let place = EpisodeContact {
             place_mm: places[near].place_mm.map(|at| turn * (at - rows[near].moved_mm) + rows[k].moved_mm),
@@ -90,23 +64,25 @@ impl TableContact {
     }
 
     /// What is stated of a reading.
-    fn stated(
-        &self,
-        rows: &[MotionRow],
-        k: usize,
-        alone: Option<&mut StaticArc>,
-    ) -> Result<Contact, ContactError> {
+    fn stated(&self, rows: &[MotionRow], k: usize, alone: &mut StaticArc) -> Result<Contact, ContactError> {
         let mut all = Vec::new();
-        for (regime, found) in &self.points {
+        for (weight, _, found) in &self.points {
             let arc = found.posterior.as_ref().map(Posterior::arc).unwrap_or_default();
-            let weight = self.weights.of(*regime);
-            all.push(Alternative { weight, place: found.places[k].clone(), arc });
+            all.push(Alternative { weight: *weight, place: found.places[k].clone(), arc });
         }
-        let weight = self.weights.of(Regime::Sliding);
-        if let Some((place, arc)) = self.slid(rows, k).filter(|_| weight > MIN_WEIGHT) {
-            all.push(Alternative { weight, place, arc });
+        let weight = self.weights.regimes.of(Regime::Sliding);
+        let slid = self.slid(rows, k);
+        // Before its first place a contact that slides is not known to be anywhere.
+        if self.weights.slides() && slid.is_none() {
+            return Ok(Contact { flags: self.flags(), ..Contact::default() });
         }
-        if let Some(alone) = alone.filter(|_| loaded(&rows[k])) {
+        all.extend(slid.filter(|_| weight > MIN_WEIGHT).map(|(place, arc)| Alternative {
+            weight,
+            place,
+            arc,
+        }));
+        let weight = self.weights.regimes.of(Regime::Anywhere);
+        if weight > MIN_WEIGHT && loaded(&rows[k]) {
             let sd_nmm = [0, 1].map(|c| rows[k].noise_nmm2[(c, c)].sqrt());
             let (estimate, arc) = alone.allowed(rows[k].moment_nmm, sd_nmm)?;
             let place = EpisodeContact {
@@ -115,18 +91,10 @@ impl TableContact {
                 contact: 1.0,
                 outlier: false,
             };
-            all.push(Alternative { weight: self.weights.of(Regime::Anywhere), place, arc });
+            all.push(Alternative { weight, place, arc });
         }
-        // Before its first place a contact that slides is not known to be anywhere.
-        if self.slides() && self.slid(rows, k).is_none() {
-            return Ok(Contact { flags: self.flags(), ..Contact::default() });
-        }
-        let (flags, on_object) = (self.flags(), !self.disagrees());
-        let Some((place, arc)) = averaged(&all) else {
-            return Ok(Contact { flags, on_object, ..Contact::default() });
-        };
-        let (estimate, regions) = (ContactEstimate::of_place(&place), arc.regions());
-        Ok(Contact { estimate, flags, regions, on_object, ..Contact::default() })
+        let belongs = !self.flags().has(Flags::MOTION_DISAGREES);
+        Ok(Contact::averaged(&all, self.flags(), |_| belongs))
     }
 }
 
@@ -204,73 +172,35 @@ impl KnownMotionTable {
     /// The contact of an episode.
     fn contact(&self, range: [usize; 2]) -> Result<TableContact, ContactError> {
         let [from, to] = range;
-        let field = &self.wire.field;
-        let settings = |creep_sd| Settings {
-            clock_sd_s: self.accuracy.clock_sd_s,
-            creep_sd,
-            stiffness_sd: self.wire.stiffness_sd(),
-            ..Settings::default()
-        };
-        let episode = |regime: Regime| {
-            let rows = &self.rows[from..to];
-            let rows = if regime == Regime::Reversed { reversed(rows) } else { rows.to_vec() };
-            Episode { rows, push: None }
-        };
-        let mut sliding = locate_sliding(&self.touched, &self.rows[from..(to + PAST).min(self.rows.len())]);
+        let (field, rows) = (&self.wire.field, &self.rows[from..to]);
+        let settings = self.wire.settings(&self.accuracy);
+        let past = self.pieces[to..].iter().take(PAST).take_while(|p| **p == self.pieces[from]).count();
+        let mut sliding = locate_sliding(&self.touched, &self.rows[from..to + past]);
         sliding.places.truncate(to - from);
         sliding.arcs.truncate(to - from);
-        let first = self.rows[from..to].iter().position(loaded).unwrap_or(0);
-        let before = first.checked_sub(1).map(|k| from + k);
-        let means = sliding.means.at_middles();
-        let point = |regime: Regime, creep_sd: f64| {
-            let (episode, settings) = (episode(regime), settings(creep_sd));
-            let push = ContactPath::new(field, &episode)?.push;
-            let mirrored = |rows: &[MotionRow]| match regime {
-                Regime::Reversed => reversed(rows),
-                _ => rows.to_vec(),
-            };
-            let before = before.map(|k| mirrored(&self.rows[k..=k]).remove(0));
-            Some(point_evidence(field, &settings, push, before.as_ref(), &mirrored(&means)))
-        };
-        let point = |regime, creep_sd| point(regime, creep_sd).unwrap_or(f64::NEG_INFINITY);
-        let [slides, slides_reversed] = sliding.ln_evidence;
-        let fixed = point(Regime::Fixed, 0.0);
-        let (creeping, creep_sd) = creeping_evidence(|sd| point(Regime::Creeping, sd));
-        // A point is a small surface: along the reversed motion it explains no more than one, but for what the surface's freedom costs.
-        let most = slides_reversed + SURFACE_COST * sliding.means.len() as f64;
-        let still = match slides.max(fixed).max(creeping) > most {
-            true => f64::NEG_INFINITY,
-            false => point(Regime::Reversed, 0.0),
-        };
+        let first = rows.iter().position(loaded).unwrap_or(0);
+        let episode = Episode { rows: rows.to_vec(), push: None };
         let prior = if self.over_object { SWEPT_OBJECT } else { ANY_OBJECT };
-        let evidence = [fixed, creeping, slides, still.max(slides_reversed), anywhere_evidence(&means)];
-        let weights = match (prior.after(&evidence), sliding.sure()) {
-            (weights, true) => weights.moving_alike(),
-            (weights, false) => weights,
+        let weights = match ContactPath::new(field, &episode).map(|path| path.push) {
+            Some(push) => {
+                let before = first.checked_sub(1).map(|k| rows[k].clone());
+                let blocks = sliding.means.at_middles();
+                let weighed = Weighed { field, settings, push, before, blocks, factors: true };
+                weighed.weights(prior, sliding.ln_evidence, sliding.sure())
+            }
+            None => ContactWeights::prior(prior),
         };
-        let at_reversed_point = still >= slides_reversed;
-        let likelier = match weights.of(Regime::Fixed) >= weights.of(Regime::Creeping) {
-            true => Regime::Fixed,
-            false => Regime::Creeping,
-        };
-        let may_be = |regime: &Regime| {
-            let is_point = *regime != Regime::Reversed || at_reversed_point;
-            *regime == likelier || (is_point && weights.of(*regime) > MIN_WEIGHT)
-        };
-        let of = |regime: Regime| {
-            let creep_sd = if regime == Regime::Creeping { creep_sd } else { 0.0 };
-            let (episode, settings) = (episode(regime), settings(creep_sd));
-            Ok((regime, estimate_contact(field, &episode, &settings)?))
-        };
-        let all = [Regime::Fixed, Regime::Creeping, Regime::Reversed].into_iter().filter(may_be);
-        Ok(TableContact {
-            range,
-            span_s: [self.rows[from].t_s, self.rows[to - 1].t_s],
-            weights,
-            points: all.map(of).collect::<Result<_, ContactError>>()?,
-            sliding,
-            over_object: self.over_object,
-        })
+        let mut points = Vec::new();
+        for (n, (weight, creep_sd, misstated)) in weights.points().into_iter().enumerate() {
+            // The fixed point's innovations are looked at whatever its weight.
+            if n == 0 || weight > MIN_WEIGHT {
+                let (rows, settings) = misstated.undone(rows, &settings);
+                let episode = Episode { rows, push: None };
+                let found = estimate_contact(field, &episode, &Settings { creep_sd, ..settings })?;
+                points.push((weight, misstated, found));
+            }
+        }
+        Ok(TableContact { range, span_s: [rows[0].t_s, rows[to - from - 1].t_s], weights, points, sliding })
     }
 
     fn messages(&self) -> Vec<Message> {
@@ -285,16 +215,13 @@ impl KnownMotionTable {
             ));
         }
         for (n, c) in self.contacts.iter().enumerate() {
-            let said = match (c.weights.certain(), self.over_object) {
+            let said = match (c.weights.regimes.certain(), c.weights.misstatement) {
                 (None, _) => "it is not told whether its point of the object stays, creeps or slides; places and regions are those of all".to_owned(),
-                (Some(Regime::Sliding), false) => "no fixed point of the object explains the moments, a contact that slides does, as it does where \
-                     motion or calibration are wrong; marked sliding-assumed in status"
-                    .to_owned(),
-                (Some(Regime::Sliding), true) if !c.sliding.sure() => "the fit of a sliding contact leaves more than noise, or the motion turns \
+                (Some(Regime::Misstated), Some(m)) => format!("{}; marked motion-disagrees in status", m.sentence()),
+                (Some(Regime::Sliding), _) if !c.sliding.sure() => "the fit of a sliding contact leaves more than noise, or the motion turns \
                      back: the contact may be lost, and its regions are wide; marked sliding-assumed in status"
                     .to_owned(),
-                (Some(Regime::Reversed), _) => "moments and motion disagree: with its sign reversed the motion explains them; marked motion-disagrees in status".to_owned(),
-                _ if !c.slides() && c.disagrees() => match c.point().innovations.sentence() {
+                _ if c.flags().has(Flags::MOTION_DISAGREES) => match c.point().innovations.sentence() {
                     Some(said) => format!("{said}; marked motion-disagrees in status"),
                     None => "the motion says nothing of the moments; marked motion-disagrees in status".to_owned(),
                 },
@@ -302,7 +229,7 @@ impl KnownMotionTable {
             };
             all.push(format!("contact {n}: {said}"));
         }
-        for (n, c) in self.contacts.iter().enumerate().filter(|(_, c)| c.slides()) {
+        for (n, c) in self.contacts.iter().enumerate().filter(|(_, c)| c.weights.slides()) {
             all.extend(c.sliding.slips.iter().map(|k| {
                 let t_s = self.rows[c.range[0] + k].t_s;
                 format!("contact {n}: it slips to another place of the object before {t_s:.2} s")
@@ -325,22 +252,13 @@ impl Estimator for KnownMotionTable {
             *self.lost.entry(why.name()).or_default() += 1;
             self.without.push(number);
         }
-        let (Some(m), Ok(motion)) = (&reading.moments, &reading.motion) else { return Ok(Vec::new()) };
+        let Some((row, (m, motion))) =
+            self.wire.row(reading, &self.accuracy).zip(reading.moments.as_ref().zip(reading.motion.ok()))
+        else {
+            return Ok(Vec::new());
+        };
         self.misfit_nmm2.push(m.own_nmm2.map(|own| misfit(&m.pose_nmm2, &own)));
-        self.rows.push(MotionRow {
-            t_s: reading.t_s,
-            moment_nmm: m.moment_nmm,
-            noise_nmm2: m.own_nmm2.unwrap_or(m.pose_nmm2),
-            free_nmm2: m.own_nmm2.map(|own| own + m.zero_nmm2),
-            shared_displacement_mm: Vec::new(),
-            shared_nmm: self.wire.shared_columns(m),
-            moved_mm: motion.moved_mm,
-            turn: motion.turn,
-            velocity_mm_s: motion.velocity_mm_s,
-            moved_sd_mm: self.accuracy.moved_sd_mm,
-            free: false,
-            contact_segment: 0,
-        });
+        self.rows.push(row);
         self.pieces.push(motion.piece);
         self.index.push(number);
         Ok(Vec::new())
@@ -355,10 +273,8 @@ impl Estimator for KnownMotionTable {
         let mut alone = StaticArc::new(self.wire.clone());
         for (n, contact) in self.contacts.iter().enumerate() {
             let [from, to] = contact.range;
-            let anywhere = contact.weights.of(Regime::Anywhere) > MIN_WEIGHT;
             for k in 0..to - from {
-                let alone = anywhere.then_some(&mut alone);
-                let stated = contact.stated(&self.rows[from..to], k, alone)?;
+                let stated = contact.stated(&self.rows[from..to], k, &mut alone)?;
                 all[self.index[from + k]] = Contact { number: Some(n as u64), ..stated };
             }
         }
@@ -371,7 +287,7 @@ impl Estimator for KnownMotionTable {
     fn findings(&self) -> Findings {
         let contact = |c: &TableContact| {
             let readings = c.range[1] - c.range[0];
-            ContactDocument::of_table(c.point(), &c.weights, &c.sliding, c.span_s, readings)
+            ContactDocument::of_table(c.point(), &c.weights.regimes, &c.sliding, c.span_s, readings)
         };
         let document = EstimatorDocument {
             method: Some(Method::KnownMotion),
@@ -380,8 +296,7 @@ impl Estimator for KnownMotionTable {
             lost_rows: Some(self.lost.clone()),
             ..EstimatorDocument::default()
         };
-        let doubtful = |c: &TableContact| !c.slides_over_object() && (c.slides() || c.disagrees());
-        let doubt = self.contacts.iter().any(doubtful);
+        let doubt = self.contacts.iter().any(|c| !c.flags().none());
         let lost = !self.lost.is_empty();
         Findings { document, messages: self.messages(), lost, doubt, ..Findings::default() }
     }

@@ -3,8 +3,8 @@
 //! ```text
 //! source                          estimator                              sink
 //! table_source, session_groove,   known_motion_table, known_motion_stream,  track_table, track_document
-//! stream_track (scans)            session_groove, network, moments_alone
-//!               Reading  ->  WhiskerTrack { Estimator }  ->  TrackRow, WhiskerDocument, Outcome
+//! stream_source (scans)           session_groove, network, static_arc
+//!               Reading  ->  WhiskerTrack { Estimator }  ->  TrackRow, WhiskerDocument, Outcome        one loop: track
 //! ```
 //!
 //! Sources and sinks speak in the base frame of the session, estimators in that of the wire ([`frame`]): lengths in mm, moments in N mm, time in s.
@@ -31,11 +31,12 @@ pub mod session_groove;
 pub mod sliding;
 pub mod static_arc;
 pub mod stream_motion;
-pub mod stream_track;
+pub mod stream_source;
 mod sweep_record;
 pub mod sweep_session;
 pub mod sweep_witness;
 pub mod table_source;
+pub mod track;
 pub mod track_document;
 pub mod track_table;
 pub mod trust;

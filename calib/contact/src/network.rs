@@ -7,6 +7,9 @@
 //! |---|---|---|---|
 //! | known or vouched for, and one of training | `ok` | network's | network's |
 //! | any other, or not known | `motion-assumed` | network's | of the mixture of network and moments alone (`arc::any_motion`) |
+//!
+//! It knows one wire, too. On another one the row says `wire-assumed`: its spread is that of the mixture, its regions are what the moments alone
+//! allow of that wire.
 
 use crate::ContactError;
 use crate::arc::{any_motion, arc_density};
@@ -17,7 +20,7 @@ use nalgebra::Vector3;
 use wcal_core::stream::Flags;
 use wcal_track::filter::FilterBank;
 use wcal_track::model_file::Card;
-use wcal_track::{Sample, Tracker, TrackerStream};
+use wcal_track::{Sample, StaticInverse, Tracker, TrackerStream};
 
 /// The network of one whisker.
 #[derive(Debug)]
@@ -28,6 +31,9 @@ pub struct NetworkEstimator<'a> {
     stream: TrackerStream<'a>,
     /// Whether the user vouches for a motion as in training where it is not known.
     vouched: bool,
+    /// The wire that is tracked, where the network was trained for another.
+    other_wire: Option<StaticInverse>,
+    foreign_rows: u64,
     rows: u64,
     assumed_rows: u64,
     /// Rows with a probability of several contacts, and those at which several are more probable than one.
@@ -45,14 +51,22 @@ const LOADED_SDS: f64 = 5.0;
 const TOUCHED: f32 = 0.9;
 
 impl<'a> NetworkEstimator<'a> {
-    /// Of a model with filters that know the noise of its moments; `vouched`: a motion that is not known is as in training.
-    pub fn new((tracker, card): (&'a Tracker, &'a Card), filters: FilterBank, vouched: bool) -> Self {
+    /// Of a model with filters that know the noise of its moments; `vouched`: a motion that is not known is as in training; `other_wire`: the
+    /// wire that is tracked, where the network was trained for another.
+    pub fn new(
+        (tracker, card): (&'a Tracker, &'a Card),
+        filters: FilterBank,
+        vouched: bool,
+        other_wire: Option<StaticInverse>,
+    ) -> Self {
         Self {
             tracker,
             card,
             filters,
             stream: tracker.stream_with(filters),
             vouched,
+            other_wire,
+            foreign_rows: 0,
             rows: 0,
             assumed_rows: 0,
             several_rows: [0; 2],
@@ -86,12 +100,23 @@ impl Estimator for NetworkEstimator<'_> {
         self.several_rows[0] += u64::from(several.is_some());
         self.several_rows[1] += u64::from(several.is_some_and(|p| p > f64::from(PROBABLE)));
         let mut flags = Flags::default();
-        if (answer.contact >= PROBABLE || loaded(moments)) && !self.trained(reading.velocity_mm_s) {
-            self.assumed_rows += 1;
-            answer = any_motion(&self.tracker.inverse, moment_nmm, moments.sd_nmm, answer);
-            flags = Flags::MOTION_ASSUMED;
+        let inverse = self.other_wire.as_ref().unwrap_or(&self.tracker.inverse);
+        if answer.contact >= PROBABLE || loaded(moments) {
+            if !self.trained(reading.velocity_mm_s) {
+                self.assumed_rows += 1;
+                flags = Flags::MOTION_ASSUMED;
+            }
+            if self.other_wire.is_some() {
+                self.foreign_rows += 1;
+                flags = flags.with(Flags::WIRE_ASSUMED);
+                // Places on the other wire's curve.
+                answer.weights.clear();
+            }
         }
-        let regions = arc_density(&self.tracker.inverse.nodes, &answer.weights).regions();
+        if !flags.none() {
+            answer = any_motion(inverse, moment_nmm, moments.sd_nmm, answer);
+        }
+        let regions = arc_density(&inverse.nodes, &answer.weights).regions();
         let on_object = answer.contact >= TOUCHED;
         let estimate = Some(ContactEstimate::from(&answer));
         Ok(vec![Contact { estimate, flags, regions, several, number: None, on_object }])
@@ -100,6 +125,13 @@ impl Estimator for NetworkEstimator<'_> {
     fn findings(&self) -> Findings {
         let [rows, probable_rows] = self.several_rows;
         let mut messages = Vec::new();
+        if self.foreign_rows > 0 {
+            messages.push(Message::warning(format!(
+                "{} of {} rows are contact of a wire that the network was not trained for: their places assume the trained one, their spread and \
+                 regions are those of the moments alone; marked wire-assumed in status (a known motion needs no network; or train one for this wire)",
+                self.foreign_rows, self.rows
+            )));
+        }
         if self.assumed_rows > 0 {
             messages.push(Message::warning(format!(
                 "{} of {} rows are contact in a motion that is not known to be one of training: their places assume the base along its +z \
@@ -124,6 +156,11 @@ impl Estimator for NetworkEstimator<'_> {
             several_contacts: Some(SeveralContacts { rows, probable_rows }),
             ..EstimatorDocument::default()
         };
-        Findings { document, messages, doubt: self.assumed_rows > 0, ..Findings::default() }
+        Findings {
+            document,
+            messages,
+            doubt: self.assumed_rows + self.foreign_rows > 0,
+            ..Findings::default()
+        }
     }
 }

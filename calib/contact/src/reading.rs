@@ -57,6 +57,15 @@ pub struct RowMotion {
     pub push: Option<Vector3<f64>>,
 }
 
+/// What is assumed of the motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MotionAccuracy {
+    /// Standard deviation of the displacement in each coordinate, mm.
+    pub moved_sd_mm: f64,
+    /// Standard deviation of the clock's offset, s.
+    pub clock_sd_s: f64,
+}
+
 /// What is known at a time.
 #[derive(Debug, Clone)]
 pub struct Reading {

@@ -2,9 +2,9 @@
 //!
 //! ```text
 //! fixed       at one point of the object                                          (known_motion)
-//! creeping    goes on from it across the push by a share q of the motion, q ~ N(0, 0.03^2) or N(0, 0.15^2) in each direction
+//! creeping    goes on from it across the push by a share q of the motion, q ~ N(0, c^2) in each direction, c of CREEP_SDS
 //! sliding     over one rigid surface                                              (sliding)
-//! reversed    fixed or sliding along the motion with its sign reversed
+//! misstated   fixed, but the motion has its sign reversed or the moments are too large or too small by a factor
 //! anywhere    the motion says nothing:  p(m) = 1 / (pi M^2),  M = 3 N mm          (arc)
 //!
 //! p(m_1 .. m_n | h) = prod_k p(m_k | m_1 .. m_(k-1), h)      over means of the readings over 0.7 mm of the motion, the same for all
@@ -17,16 +17,22 @@
 
 use crate::arc_posterior::{ArcDensity, mixed_place};
 use crate::known_motion::{EpisodeContact, MomentField, MotionRow, RecursivePosterior, Settings};
-use crate::sliding::{LN_ANYTHING, model_nmm2};
+use crate::sliding::{LN_ANYTHING, model_nmm2, reversed};
 use nalgebra::Vector3;
+use wcal_core::stream::Flags;
 
 /// Of an object of which nothing is known the touched point may go on by so much of the motion (standard deviations, each as probable). An
 /// assumption.
-pub const CREEP_SDS: [f64; 2] = [0.03, 0.15];
+pub const CREEP_SDS: [f64; 3] = [0.02, 0.1, 0.4];
 /// T: the power of the evidence. An assumption; `tests/contact_regimes.rs` passes with 0.6 and with 1.0 in its place, too.
 const POWER: f64 = 0.8;
 /// A regime of less weight is left out of what is stated.
 pub const MIN_WEIGHT: f64 = 1e-3;
+/// Factors by which moments may be misstated: this one's powers up to so many, on both sides of 1; what lies between two is an unknown.
+const FACTOR: f64 = 1.2;
+const FACTORS: i32 = 5;
+/// ln p(m) of a way that is not looked at.
+pub const OUT: f64 = f64::NEG_INFINITY;
 
 /// A way in which a contact may move.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,19 +44,19 @@ pub enum Regime {
     /// See the module.
     Sliding,
     /// See the module.
-    Reversed,
+    Misstated,
     /// See the module.
     Anywhere,
 }
 
 /// All of them, in the order of their weights.
 pub const REGIMES: [Regime; 5] =
-    [Regime::Fixed, Regime::Creeping, Regime::Sliding, Regime::Reversed, Regime::Anywhere];
+    [Regime::Fixed, Regime::Creeping, Regime::Sliding, Regime::Misstated, Regime::Anywhere];
 
 impl Regime {
     /// Name.
     pub fn name(self) -> &'static str {
-        ["fixed", "creeping", "sliding", "reversed", "anywhere"][self as usize]
+        ["fixed", "creeping", "sliding", "misstated", "anywhere"][self as usize]
     }
 }
 
@@ -78,7 +84,7 @@ impl RegimeWeights {
 
     /// That the motion does not belong to the moments.
     pub fn no_motion(&self) -> f64 {
-        self.of(Regime::Reversed) + self.of(Regime::Anywhere)
+        self.of(Regime::Misstated) + self.of(Regime::Anywhere)
     }
 
     /// By the logarithms of the evidence, in the order of [`REGIMES`].
@@ -90,14 +96,13 @@ impl RegimeWeights {
         if total.is_finite() { Self(all.map(|w| w / total)) } else { *self }
     }
 
-    /// Where a surface explains all blocks: creeping is the first order of sliding over it, straight and steady, and what its few numbers save
-    /// in evidence says nothing of which it is. Both have half of their sum.
-    pub fn moving_alike(mut self) -> Self {
-        let [creeping, sliding] = [Regime::Creeping, Regime::Sliding].map(|r| r as usize);
-        let half = 0.5 * (self.0[creeping] + self.0[sliding]);
-        if self.0[creeping] > half {
-            (self.0[creeping], self.0[sliding]) = (half, half);
-        }
+    /// Where a surface explains all blocks of a motion one way: creeping is the first order of sliding over it, straight and steady, and a fixed
+    /// point with moments by another factor has its curve, too; what their few numbers save in evidence says nothing of which it is. The
+    /// surface, which has those courses among others, takes their probability; the reversed motion does not explain it as well.
+    fn of_one_surface(mut self) -> Self {
+        let [creeping, sliding, misstated] =
+            [Regime::Creeping, Regime::Sliding, Regime::Misstated].map(|r| r as usize);
+        self.0[sliding] += std::mem::take(&mut self.0[creeping]) + std::mem::take(&mut self.0[misstated]);
         self
     }
 
@@ -107,8 +112,180 @@ impl RegimeWeights {
     }
 }
 
+/// What may be misstated of a record.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Misstatement {
+    /// Whether the motion has the other sign.
+    pub reversed: bool,
+    /// Stated moments over true ones.
+    pub factor: f64,
+}
+
+impl Misstatement {
+    /// Nothing is.
+    pub const NONE: Self = Self { reversed: false, factor: 1.0 };
+
+    fn all(factors: i32) -> impl Iterator<Item = Self> {
+        let factors = (-factors..=factors).filter(|k| *k != 0).map(|k| FACTOR.powi(k));
+        let other = factors.map(|factor| Self { factor, ..Self::NONE });
+        std::iter::once(Self { reversed: true, ..Self::NONE }).chain(other)
+    }
+
+    /// Readings as they would have been stated rightly, with what is assumed of them.
+    pub fn undone(&self, rows: &[MotionRow], settings: &Settings) -> (Vec<MotionRow>, Settings) {
+        let mut rows = if self.reversed { reversed(rows) } else { rows.to_vec() };
+        let mut settings = *settings;
+        if self.factor != 1.0 {
+            for row in &mut rows {
+                let scaled = |h: [f64; 2]| h.map(|m| m / self.factor);
+                row.moment_nmm = scaled(row.moment_nmm);
+                row.noise_nmm2 /= self.factor * self.factor;
+                row.free_nmm2 = row.free_nmm2.map(|n| n / (self.factor * self.factor));
+                row.shared_nmm.iter_mut().for_each(|h| *h = scaled(*h));
+                // The unknown of the stiffness is the rest of the factor.
+                if settings.stiffness_sd == 0.0 {
+                    row.shared_nmm.push([0.0; 2]);
+                }
+            }
+            settings.stiffness_sd = settings.stiffness_sd.hypot(0.5 * FACTOR.ln());
+        }
+        (rows, settings)
+    }
+
+    /// For people.
+    pub fn sentence(&self) -> String {
+        match self.reversed {
+            true => "moments and motion disagree: with its sign reversed the motion explains them".to_owned(),
+            false => format!(
+                "moments and motion disagree: moments {:.2} times as large explain them (another calibration or wire)",
+                1.0 / self.factor
+            ),
+        }
+    }
+}
+
+/// Weights of a contact's regimes, and of what they are made of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ContactWeights {
+    /// Of the regimes.
+    pub regimes: RegimeWeights,
+    /// Shares of [`CREEP_SDS`] among those that creep.
+    pub creeping: [f64; 3],
+    /// The likeliest misstatement of a fixed point.
+    pub misstatement: Option<Misstatement>,
+}
+
+impl ContactWeights {
+    /// Before any reading; ways that are not looked at yet have none.
+    pub fn prior(prior: RegimeWeights) -> Self {
+        let regimes = prior.after(&[0.0, 0.0, OUT, OUT, OUT]);
+        Self { regimes, creeping: [1.0 / 3.0; 3], misstatement: None }
+    }
+
+    /// Whether it slides rather than anything else.
+    pub fn slides(&self) -> bool {
+        self.regimes.of(Regime::Sliding) > 0.5
+    }
+
+    /// What stays in doubt: moments and motion that do not belong together, by the weights or by what a point leaves (`point_disagrees`), and
+    /// a sliding contact that may be lost (not `sure`).
+    pub fn flags(&self, point_disagrees: bool, sure: bool) -> Flags {
+        match (self.regimes.no_motion() > 0.5, self.slides()) {
+            (false, true) if sure => Flags::default(),
+            (false, true) => Flags::SLIDING_ASSUMED,
+            (false, false) if !point_disagrees => Flags::default(),
+            _ => Flags::MOTION_DISAGREES,
+        }
+    }
+
+    /// The ways of a contact at or near a point with their weights: how much it creeps, and what is misstated.
+    pub fn points(&self) -> Vec<(f64, f64, Misstatement)> {
+        let own = |regime| self.regimes.of(regime);
+        let mut all = vec![(own(Regime::Fixed), 0.0, Misstatement::NONE)];
+        let creeping = CREEP_SDS.into_iter().zip(self.creeping);
+        all.extend(creeping.map(|(sd, share)| (own(Regime::Creeping) * share, sd, Misstatement::NONE)));
+        // What is stated is that of the motion and calibration as they are, unless it is more probable that they are not.
+        let mistaken = self.misstatement.filter(|_| own(Regime::Misstated) > 0.5);
+        all.extend(mistaken.map(|m| (own(Regime::Misstated), 0.0, m)));
+        all
+    }
+}
+
+/// A contact's blocks of readings, and the last free reading before them.
+pub struct Weighed<'a> {
+    /// Moments of the wire where it is held.
+    pub field: &'a MomentField,
+    /// What is assumed of a fixed point.
+    pub settings: Settings,
+    /// Direction of the push.
+    pub push: Vector3<f64>,
+    /// The last free reading.
+    pub before: Option<MotionRow>,
+    /// Blocks.
+    pub blocks: Vec<MotionRow>,
+    /// Whether factors of the moments are looked at, which takes more time than a stream has.
+    pub factors: bool,
+}
+
+impl Weighed<'_> {
+    /// ln p(m) of a point that creeps by a share with this standard deviation where something is misstated.
+    fn point(&self, creep_sd: f64, misstated: Misstatement) -> f64 {
+        let (blocks, settings) = misstated.undone(&self.blocks, &self.settings);
+        let before = self
+            .before
+            .as_ref()
+            .map(|row| misstated.undone(std::slice::from_ref(row), &self.settings).0.remove(0));
+        let push = if misstated.reversed { -self.push } else { self.push };
+        // A density per N mm of what was read.
+        let by_factor = 2.0 * blocks.len() as f64 * misstated.factor.ln();
+        point_evidence(self.field, &Settings { creep_sd, ..settings }, push, before.as_ref(), &blocks)
+            - by_factor
+    }
+
+    /// Weights from a prior, with ln p(m) of a surface along the motion and along the reversed one; `whole`: the surface explains all blocks.
+    pub fn weights(&self, prior: RegimeWeights, sliding: [f64; 2], whole: bool) -> ContactWeights {
+        let creeping = match prior.of(Regime::Creeping) > 0.0 {
+            true => CREEP_SDS.map(|sd| self.point(sd, Misstatement::NONE)),
+            false => [OUT; 3],
+        };
+        let fixed = self.point(0.0, Misstatement::NONE);
+        let after = |misstated: f64| {
+            let anywhere = self.blocks.len() as f64 * LN_ANYTHING;
+            let weights = prior.after(&[fixed, ln_mean(&creeping), sliding[0], misstated, anywhere]);
+            if whole { weights.of_one_surface() } else { weights }
+        };
+        let mut all =
+            ContactWeights { regimes: after(sliding[1]), creeping: shares(&creeping), misstatement: None };
+        // Where a fixed point explains the readings as they are, there is nothing to explain by a mistake.
+        if !whole && all.regimes.of(Regime::Fixed) < 0.5 {
+            let each: Vec<(f64, Misstatement)> = Misstatement::all(if self.factors { FACTORS } else { 0 })
+                .map(|m| (self.point(0.0, m), m))
+                .collect();
+            let at_a_point = ln_mean(&each.iter().map(|e| e.0).collect::<Vec<_>>());
+            let best = each.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+            all.regimes = after(at_a_point.max(sliding[1]));
+            all.misstatement = best.filter(|_| at_a_point > sliding[1]).map(|b| b.1);
+        }
+        all
+    }
+}
+
+/// Probabilities by logarithms, each as probable before.
+fn shares(ln: &[f64; 3]) -> [f64; 3] {
+    let best = ln.iter().copied().fold(OUT, f64::max);
+    let all = ln.map(|l| if best.is_finite() { (POWER * (l - best)).exp() } else { 1.0 });
+    all.map(|w| w / all.iter().sum::<f64>())
+}
+
+/// Logarithm of the mean of what has these logarithms.
+fn ln_mean(ln: &[f64]) -> f64 {
+    let best = ln.iter().copied().fold(OUT, f64::max);
+    let mean = ln.iter().map(|l| (l - best).exp()).sum::<f64>() / ln.len() as f64;
+    if best.is_finite() { best + mean.ln() } else { best }
+}
+
 /// ln p(m) of a contact at or near one point, over blocks of readings; `before` is the last free reading.
-pub fn point_evidence(
+fn point_evidence(
     field: &MomentField,
     settings: &Settings,
     push: Vector3<f64>,
@@ -130,18 +307,6 @@ pub fn point_evidence(
         -0.5 * size2 / variance - (std::f64::consts::TAU * variance).ln()
     };
     posterior.ln_evidence(field) - lead.iter().map(free).sum::<f64>()
-}
-
-/// The same of one that creeps, and how much it does so most probably; [`point_evidence`] is its logarithm for a standard deviation.
-pub fn creeping_evidence(of: impl Fn(f64) -> f64) -> (f64, f64) {
-    let [(a, small), (b, large)] = CREEP_SDS.map(|sd| (of(sd), sd));
-    let (most, least, sd) = if a > b { (a, b, small) } else { (b, a, large) };
-    (if most.is_finite() { most + (0.5 * (1.0 + (least - most).exp())).ln() } else { most }, sd)
-}
-
-/// ln p(m) of blocks of which nothing is predicted.
-pub fn anywhere_evidence(blocks: &[MotionRow]) -> f64 {
-    blocks.len() as f64 * LN_ANYTHING
 }
 
 /// What a regime states of a reading, with its weight.
@@ -177,10 +342,11 @@ mod tests {
         assert_eq!(told.certain(), Some(Regime::Sliding));
         assert!(told.at_a_point() + told.no_motion() < 1e-2);
         assert_eq!(ANY_OBJECT.after(&[f64::NEG_INFINITY; 5]), ANY_OBJECT);
-        // A straight creep and the surface that it approximates; the surface alone stays what it is.
+        // A straight creep is the surface that it approximates; the surface alone stays what it is.
         let creeps = ANY_OBJECT.after(&[-20.0, 20.0, 0.0, -99.0, -99.0]);
-        assert_eq!((creeps.certain(), creeps.moving_alike().certain()), (Some(Regime::Creeping), None));
-        assert_eq!(told.moving_alike(), told);
+        assert_eq!(creeps.certain(), Some(Regime::Creeping));
+        assert_eq!(creeps.of_one_surface().certain(), Some(Regime::Sliding));
+        assert!(told.of_one_surface().of(Regime::Sliding) >= told.of(Regime::Sliding));
         // A groove holds the wire at one point, whatever the evidence of creeping.
         assert_eq!(GROOVE.after(&[0.0, 100.0, 0.0, 0.0, 0.0]).of(Regime::Creeping), 0.0);
     }

@@ -1,70 +1,50 @@
 //! Readings of a sweep beside the object: moments, poses of the base, and the sweep's own zero.
 
 use crate::ContactError;
-use crate::known_motion::MotionLog;
+use crate::frame::in_wire_frame;
 use crate::motion_table;
+use crate::reading::Reading;
 use crate::sweep_session::SweepSession;
-use crate::table_source::base_pose;
+use crate::table_source::{TableSource, base_pose};
 use crate::zero::steady;
 use nalgebra::{Isometry3, Matrix2, Vector2, Vector3};
-use wcal_calibration::{SensedRow, WhiskerCalibration};
+use wcal_calibration::WhiskerCalibration;
+use wcal_core::CalibrationNoise;
 use wcal_core::observation::WhiskerSpec;
 use wcal_core::wire_frame::WireFrame;
 
 /// Free readings that a zero needs at least.
 const MIN_FREE: usize = 3;
+
 /// A reading, moments in the frame of the wire.
-#[derive(Debug, Clone)]
 pub(crate) struct SweepRow {
-    t_s: f64,
     pub moment_nmm: Vector2<f64>,
     pub noise_nmm2: Matrix2<f64>,
     pub shared_nmm: Vec<Vector2<f64>>,
     pub world_from_base: Isometry3<f64>,
 }
 
-/// Readings of a sweep through a calibration, and the motion.
-pub(crate) struct SweepRecord {
-    rows: Vec<SweepRow>,
-    log: MotionLog,
-}
-
-impl SweepRecord {
-    /// Of a sweep.
-    ///
-    /// # Errors
-    /// Where its tables cannot be read, or a reading has no time.
-    pub fn new(
-        session: &SweepSession,
-        calibration: &dyn WhiskerCalibration,
-        (whisker, frame): (&WhiskerSpec, &WireFrame),
-    ) -> Result<Self, ContactError> {
-        let sensed = calibration.sensed(&session.points, whisker)?;
-        let log = motion_table::read(&session.points)?.log;
-        let place = session.points.display();
-        let row = |r: &SensedRow| {
-            let what = || format!("{place}: line {}: t_s", r.line);
-            let t_s = r.t_s.ok_or_else(|| ContactError::value(what(), "a time", "none"))?;
-            Ok(SweepRow {
-                t_s,
-                moment_nmm: Vector2::from(frame.moment(r.sensed.moment_nmm)),
-                noise_nmm2: frame.covariance(&r.sensed.noise_nmm2),
-                shared_nmm: r.sensed.shared_nmm.iter().map(|h| frame.moment(*h).into()).collect(),
-                world_from_base: Isometry3::identity(),
-            })
-        };
-        let rows = sensed.rows.iter().map(row).collect::<Result<Vec<_>, ContactError>>()?;
-        Ok(Self { rows, log })
-    }
-
-    /// The readings at which the base's pose is known.
-    pub fn rows(&self) -> Vec<SweepRow> {
-        let one = |r: &SweepRow| {
-            let motion = self.log.at(r.t_s, &Vector3::zeros()).ok()?;
-            Some(SweepRow { world_from_base: base_pose(&motion).world_from_base, ..r.clone() })
-        };
-        self.rows.iter().filter_map(one).collect()
-    }
+/// The readings of a sweep through a calibration at which the base's pose is known.
+///
+/// # Errors
+/// Where its tables cannot be read, or a reading has no time.
+pub(crate) fn sweep_rows(
+    session: &SweepSession,
+    calibration: &dyn WhiskerCalibration,
+    (whisker, frame): (&WhiskerSpec, &WireFrame),
+) -> Result<Vec<SweepRow>, ContactError> {
+    let source = TableSource::read(&session.points, (calibration, CalibrationNoise::default()), whisker)?;
+    let log = motion_table::read(&session.points)?.log;
+    let one = |reading: Reading| {
+        let (t_s, m) = (reading.t_s, in_wire_frame(frame, &reading).moments?);
+        Some(SweepRow {
+            moment_nmm: m.moment_nmm.into(),
+            noise_nmm2: m.pose_nmm2,
+            shared_nmm: m.shared_nmm.iter().map(|h| Vector2::from(*h)).collect(),
+            world_from_base: base_pose(&log.at(t_s, &Vector3::zeros()).ok()?).world_from_base,
+        })
+    };
+    Ok(source.alone().into_iter().filter_map(one).collect())
 }
 
 /// The zero of a sweep: the mean of its readings before the wire comes near the object.

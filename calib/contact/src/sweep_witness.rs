@@ -21,7 +21,7 @@
 //! largest one: the contact is that of first touch there. A wire that slips while the load falls may lie on elsewhere, or at two places.
 
 use crate::ContactError;
-use crate::sweep_record::{SweepRecord, SweepRow, SweepZero};
+use crate::sweep_record::{SweepRow, SweepZero, sweep_rows};
 use crate::sweep_session::SweepSession;
 use nalgebra::{DMatrix, DVector, Isometry3, Matrix2, Vector2, Vector3};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
@@ -120,9 +120,8 @@ impl SweepWitness {
         calibration: &dyn WhiskerCalibration,
         declared: &WhiskerSpec,
     ) -> Result<Option<WitnessTest>, ContactError> {
-        let record = SweepRecord::new(&self.session, calibration, (declared, &self.frame))?;
+        let rows = sweep_rows(&self.session, calibration, (declared, &self.frame))?;
         let place = || self.session.points.display().to_string();
-        let rows = record.rows();
         let (clear, clear_mm) = self.clear(&rows)?;
         // The sweep's own zero, and from when on the wire is loaded.
         let Some(zero) = SweepZero::new(&rows, &clear) else {

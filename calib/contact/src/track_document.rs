@@ -63,6 +63,14 @@ pub struct TrackDocument {
     pub stream: Option<StreamDocument>,
 }
 
+impl TrackDocument {
+    /// The rows of each whisker.
+    pub fn whiskers(&self) -> impl Iterator<Item = &WhiskerDocument> {
+        let streamed = self.stream.iter().flat_map(|s| s.whiskers.iter().map(|w| &w.rows));
+        self.table.iter().map(|t| &t.whisker).chain(streamed)
+    }
+}
+
 /// Of a table or a session.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct TableDocument {
@@ -178,7 +186,7 @@ pub struct ContactDocument {
     pub to_s: Option<f64>,
     /// How the contact moves on the object, where one way is more probable than all others together.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schemars(extend("enum" = ["fixed", "creeping", "sliding", "reversed", "anywhere", "undecided"]))]
+    #[schemars(extend("enum" = ["fixed", "creeping", "sliding", "misstated", "anywhere", "undecided"]))]
     pub contact: Option<&'static str>,
     /// Probability of each way.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -9,10 +9,10 @@ use wcal_calibration::{
 use wcal_core::observation::MomentAxes;
 use wcal_core::ranges::OutOfRange;
 use wcal_core::{CalibrationFile, CalibrationFrame, VerificationStatus, WhiskerSpec, WireFrame};
-use wcal_track::Tracker;
 use wcal_track::filter::FilterBank;
 use wcal_track::model_file::Card;
 use wcal_track::tracker::trained_steps_s;
+use wcal_track::{InverseGrid, StaticInverse, Tracker};
 
 /// What speaks against a calibration and a model, each with a short code for the rows and a sentence for people.
 #[derive(Debug, Clone, Default)]
@@ -104,10 +104,16 @@ impl WhiskerModel<'_> {
     }
 
     /// Its network, with filters that know the calibration's noise; none without one.
-    pub fn estimator(&self, vouched: bool) -> Option<NetworkEstimator<'_>> {
-        let Network { tracker, card } = self.network.as_ref()?;
+    ///
+    /// # Errors
+    /// Where the wire is another than the network's and cannot be bent.
+    pub fn estimator(&self, vouched: bool) -> Result<Option<NetworkEstimator<'_>>, ContactError> {
+        let Some(Network { tracker, card }) = &self.network else { return Ok(None) };
+        let own = self.file.whisker.as_ref().map(|w| Ok::<_, ContactError>(self.frame()?.whisker(w)));
+        let other = own.transpose()?.filter(|w| w.difference(&card.whisker).is_some());
+        let other = other.map(|w| StaticInverse::new(&w, InverseGrid::coarse())).transpose()?;
         let filters = filters_for(tracker.filters, &self.file.model);
-        Some(NetworkEstimator::new((tracker, card), filters, vouched))
+        Ok(Some(NetworkEstimator::new((tracker, card), filters, vouched, other)))
     }
 }
 

@@ -249,6 +249,31 @@ impl Outcome {
         }
     }
 
+    /// Why the exit code is not 0, and what to do.
+    pub fn sentence(self, forced: bool) -> Option<String> {
+        let code = self.exit_code(forced);
+        let why = [
+            (
+                self.outside && !forced,
+                "readings lie outside the valid region: calibrate up to their moments, or take them with --force",
+            ),
+            (
+                self.coverage_rejected && !forced,
+                "stated regions do not hold the known groove: look for a groove that moved, or verify the calibration anew",
+            ),
+            (
+                self.lost,
+                "readings were lost, unusable or without motion: see status in the table, and mend their source",
+            ),
+            (
+                self.doubt,
+                "rows are in doubt: take those that say ok in status; the lines above say what explains the others",
+            ),
+        ];
+        let why: Vec<&str> = why.into_iter().filter(|w| w.0).map(|w| w.1).collect();
+        (code != 0).then(|| format!("exit code {code}: {}", why.join("; ")))
+    }
+
     /// Exit code of the program: 4 before 3 before 0; `forced`: the user takes what is not good enough.
     pub fn exit_code(self, forced: bool) -> u8 {
         match ((self.outside || self.coverage_rejected) && !forced, self.lost || self.doubt) {

@@ -6,7 +6,10 @@
     reason = "a test that fails should say where, and one that measures says what it found"
 )]
 
-use nalgebra::{Matrix2, Rotation3, Vector2, Vector3};
+mod plant_sweep;
+
+use nalgebra::{Matrix2, Rotation3, Vector3};
+use plant_sweep::{calibrated, readings, whisker};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -14,12 +17,10 @@ use rayon::prelude::*;
 use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::{Contact, Estimator};
 use wcal_contact::known_motion::MomentField;
-use wcal_contact::known_motion_stream::MotionAccuracy;
 use wcal_contact::known_motion_table::KnownMotionTable;
-use wcal_contact::reading::{Moments, Reading, RowMotion};
-use wcal_core::observation::{RestShape, WhiskerSpec};
+use wcal_contact::reading::{Moments, MotionAccuracy, Reading, RowMotion};
+use wcal_core::observation::WhiskerSpec;
 use wcal_plant::sweep::SweepCase;
-use wcal_rod::Rod;
 
 const NOISE_NMM: f64 = 1e-3;
 const MOVED_SD_MM: f64 = 0.002;
@@ -32,10 +33,8 @@ const SWEEPS: u64 = 4;
 const SEED: u64 = 41_000;
 /// Relative standard deviation of another wire's diameter, and of the moments by it.
 const DIAMETER_SHARE: f64 = 0.01;
-/// Free readings that the zero of a sweep is the mean of, standard deviation of its drift (N mm), and error of its map, relative.
-const ZERO_READINGS: usize = 5;
-const DRIFT_NMM: f64 = 0.003;
-const MAP_SHARE: f64 = 0.003;
+/// Mesh of the rods, mm.
+const MESH_MM: f64 = 4.0;
 
 /// How a contact moves on what it touches.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,29 +52,24 @@ struct Known {
     touch: Option<(Vector3<f64>, f64)>,
 }
 
-fn calibrated(whisker: &WhiskerSpec) -> CalibratedWire {
-    CalibratedWire::of_rod(Rod::new(whisker, 4.0).unwrap(), whisker.diameter_mm)
-}
-
 fn reading(
     k: usize,
-    t_s: f64,
-    (moment_nmm, noise_nmm2): ([f64; 2], Matrix2<f64>),
-    (shared_nmm, zero_nmm2): (Vec<[f64; 2]>, Matrix2<f64>),
+    moment_nmm: [f64; 2],
     (moved_mm, velocity_mm_s): (Vector3<f64>, Vector3<f64>),
 ) -> Reading {
+    let noise_nmm2 = Matrix2::identity() * NOISE_NMM * NOISE_NMM;
     let moments = Moments {
         moment_nmm,
-        sd_nmm: [noise_nmm2[(0, 0)].sqrt(), noise_nmm2[(1, 1)].sqrt()],
+        sd_nmm: [NOISE_NMM; 2],
         valid: true,
         pose_nmm2: noise_nmm2,
         own_nmm2: Some(noise_nmm2),
         drift_nmm2: Matrix2::zeros(),
-        zero_nmm2,
-        shared_nmm,
+        zero_nmm2: Matrix2::zeros(),
+        shared_nmm: Vec::new(),
     };
     let motion = RowMotion { moved_mm, turn: Rotation3::identity(), velocity_mm_s, piece: 0, push: None };
-    Reading { motion: Ok(motion), ..Reading::alone(k as i64, t_s, Some(moments)) }
+    Reading { motion: Ok(motion), ..Reading::alone(k as i64, 0.1 * k as f64, Some(moments)) }
 }
 
 /// A point pressed along z from 1 mm before the wire to 5 mm past it.
@@ -97,58 +91,21 @@ fn press(field: &MomentField, family: Family, seed: u64) -> Vec<Known> {
         let held = (depth > 0.0).then(|| touch + Vector3::z() * depth + goes_on * depth);
         let moment = held.map_or([0.0; 2], |p| field.held(&p, 0.0).unwrap().moment_nmm);
         let read = moment.map(|m| stiffer * m + normal(NOISE_NMM));
-        let noise = Matrix2::identity() * NOISE_NMM * NOISE_NMM;
         let jitter = Vector3::from_fn(|_, _| normal(MOVED_SD_MM));
         let motion = (Vector3::z() * depth * way + jitter, Vector3::z() * 1.2 * way);
-        let shared = (Vec::new(), Matrix2::zeros());
-        Known {
-            reading: reading(k, 0.1 * k as f64, (read, noise), shared, motion),
-            touch: held.map(|p| (p, s_mm)),
-        }
+        Known { reading: reading(k, read, motion), touch: held.map(|p| (p, s_mm)) }
     };
     (0..50).map(one).collect()
 }
 
-/// A sweep of the independent plant under its true map.
+/// A sweep of the independent plant.
 fn sweep(case: &SweepCase) -> Vec<Known> {
-    let bench = &case.scene.bench;
-    let [[a, b], [c, d]] = bench.k;
-    let nmm_per_pm = Matrix2::new(a, b, c, d).try_inverse().unwrap();
-    let moment = |k: usize| {
-        let pm = [0, 1].map(|c| 1e3 * (case.readings[k].fbg_nm[c] - bench.nominal_nm[c]));
-        nmm_per_pm * Vector2::from(pm)
-    };
-    let zero = (0..ZERO_READINGS).map(moment).sum::<Vector2<f64>>() / ZERO_READINGS as f64;
-    let noise_nmm2 = nmm_per_pm * nmm_per_pm.transpose() * case.scene.noise_pm.powi(2);
-    let zero_nmm2 = noise_nmm2 / ZERO_READINGS as f64 + Matrix2::identity() * DRIFT_NMM * DRIFT_NMM;
-    let one = |k: usize| {
-        let (m, at) = (moment(k) - zero, &case.readings[k]);
-        let share = m * MAP_SHARE;
-        let map = vec![[share.x, 0.0], [0.0, share.x], [share.y, 0.0], [0.0, share.y]];
-        let velocity = -case.scene.direction * case.scene.speed_mm_s;
-        Known {
-            reading: reading(k, at.t_s, (m.into(), noise_nmm2), (map, zero_nmm2), (-at.base_mm, velocity)),
-            touch: at.touch.as_ref().map(|t| (t.axis_mm, t.arclength_mm)),
-        }
-    };
-    (0..case.readings.len()).map(one).collect()
-}
-
-fn whisker(case: &SweepCase) -> WhiskerSpec {
-    let b = &case.scene.bench;
-    let rest_shape = RestShape::StraightArc {
-        straight_mm: b.straight_mm,
-        arc_radius_mm: b.arc_radius_mm,
-        length_mm: b.length_mm,
-    };
-    WhiskerSpec {
-        diameter_mm: b.diameter_mm,
-        youngs_gpa: b.youngs_gpa,
-        shear_gpa: b.shear_gpa,
-        density_kg_m3: None,
-        rest_shape,
-        gravity_direction: None,
-    }
+    let touch = |k: usize| case.readings[k].touch.as_ref().map(|t| (t.axis_mm, t.arclength_mm));
+    readings(case, 1.0)
+        .into_iter()
+        .enumerate()
+        .map(|(k, reading)| Known { reading, touch: touch(k) })
+        .collect()
 }
 
 /// What the tracker states of the readings of one record.
@@ -157,6 +114,8 @@ struct Stated {
     /// By reading in contact whether the ellipsoid in space holds the true place, whether the region along the wire holds its arc length, and
     /// the standard deviation in space, mm.
     rows: Vec<(bool, bool, f64)>,
+    /// Of them those that are in doubt.
+    flagged: usize,
     /// Largest weight of the family over the contacts.
     weight: f64,
 }
@@ -174,25 +133,27 @@ fn tracked(wire: CalibratedWire, record: &[Known], family: Family) -> Stated {
         Some((inside, held, covariance.trace().sqrt()))
     };
     let rows = found.iter().zip(record).filter_map(one).collect();
+    let in_doubt = |(contact, known): &(&Contact, &Known)| known.touch.is_some() && !contact.flags.none();
+    let flagged = found.iter().zip(record).filter(in_doubt).count();
     let contacts = table.findings().document.contacts.unwrap();
     let own = match family {
         Family::Fixed | Family::OtherWire => "fixed",
         Family::Creeping => "creeping",
-        Family::Reversed => "reversed",
+        Family::Reversed => "misstated",
         Family::Sliding => "sliding",
     };
     let weight = contacts.iter().map(|c| c.weights.as_ref().unwrap()[own]).fold(0.0, f64::max);
-    Stated { rows, weight }
+    Stated { rows, flagged, weight }
 }
 
-/// Shares of the readings that ellipsoids and regions hold, the median standard deviation (mm), and how many records have the right regime.
+/// Shares of the readings that ellipsoids and regions hold and that are in doubt, and of the records that have the right regime.
 fn judged(family: Family, tolerance: f64) -> [f64; 4] {
     let tolerance = (family == Family::OtherWire && tolerance > 0.0).then_some(tolerance);
-    let wire = calibrated(&WhiskerSpec::nominal()).with_tolerance(tolerance);
+    let wire = calibrated(&WhiskerSpec::nominal(), MESH_MM).with_tolerance(tolerance);
     let one = |k: u64| match family {
         Family::Sliding => {
             let case = SweepCase::draw(SEED + 500 + k).unwrap();
-            tracked(calibrated(&whisker(&case)), &sweep(&case), family)
+            tracked(calibrated(&whisker(&case), MESH_MM), &sweep(&case), family)
         }
         _ => tracked(wire.clone(), &press(&wire.field, family, SEED + 100 * family as u64 + k), family),
     };
@@ -205,10 +166,14 @@ fn judged(family: Family, tolerance: f64) -> [f64; 4] {
         all.iter().flat_map(|s| &s.rows).filter(|r| of(r)).count() as f64 / n
     };
     let right = all.iter().filter(|s| s.weight > 0.5).count() as f64 / records as f64;
-    let found = [share(|r| r.0), share(|r| r.1), sds.get(sds.len() / 2).copied().unwrap_or(f64::NAN), right];
+    let flagged = all.iter().map(|s| s.flagged).sum::<usize>() as f64 / n;
+    let found = [share(|r| r.0), share(|r| r.1), flagged, right];
     println!(
-        "SIMULATED {family:?}: {records} records, {n} readings: in space {:.3}, along the wire {:.3}, sd median {:.3} mm, right regime {:.2}",
-        found[0], found[1], found[2], found[3]
+        "SIMULATED {family:?}: {records} records, {n} readings: in space {:.3}, along the wire {:.3}, sd median {:.3} mm, in doubt {flagged:.3}, right \
+         regime {right:.2}",
+        found[0],
+        found[1],
+        sds.get(sds.len() / 2).copied().unwrap_or(f64::NAN)
     );
     found
 }
@@ -216,9 +181,11 @@ fn judged(family: Family, tolerance: f64) -> [f64; 4] {
 #[test]
 fn regions_hold_and_the_regime_is_told_in_every_family() {
     for family in [Family::Fixed, Family::Creeping, Family::Reversed, Family::OtherWire, Family::Sliding] {
-        let [in_space, along, _, right] = judged(family, DIAMETER_SHARE);
+        let [in_space, along, flagged, right] = judged(family, DIAMETER_SHARE);
         // 24 presses, or four sweeps, of which each is held or not: the goal is 0.92 to 0.97 and 0.9, measured in the lab notes.
         assert!(in_space > 0.85 && along > 0.7 && right > 0.8, "{family:?}: {in_space} {along} {right}");
+        // A motion that is not the moments' is in doubt, a contact that creeps or slides is not.
+        assert!((flagged > 0.5) == (family == Family::Reversed), "{family:?}: {flagged}");
     }
     // Control: a foreign wire that is taken for the calibration's own is mostly lost.
     let [in_space, ..] = judged(Family::OtherWire, 0.0);

@@ -2,16 +2,16 @@
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 #![allow(missing_docs, reason = "tests")]
 
-use nalgebra::{Matrix2, Rotation3, Vector2, Vector3};
+mod plant_sweep;
+
+use plant_sweep::{calibrated, readings, whisker};
 use rayon::prelude::*;
 use std::sync::LazyLock;
-use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::{Contact, Estimator};
 use wcal_contact::known_motion::MotionRow;
-use wcal_contact::known_motion_stream::{KnownMotionStream, MotionAccuracy};
-use wcal_contact::reading::{Moments, Reading, RowMotion};
+use wcal_contact::known_motion_stream::KnownMotionStream;
+use wcal_contact::reading::{MotionAccuracy, Reading};
 use wcal_contact::sliding::{SlidingContact, TouchedWire, locate_sliding};
-use wcal_core::observation::{RestShape, WhiskerSpec};
 use wcal_core::stream::Flags;
 use wcal_plant::sweep::{SweepCase, SweepReading};
 
@@ -19,10 +19,6 @@ use wcal_plant::sweep::{SweepCase, SweepReading};
 const SEEDS: std::ops::Range<u64> = 500..508;
 /// Sweeps with a slip on which the rule of slips was chosen: a regression, no judgement. Others are rarely drawn in few trials.
 const SLIP_SEEDS: [u64; 3] = [1, 5, 6];
-/// Free readings that the zero is the mean of, and standard deviation of what it drifts, N mm; error of the map, relative.
-const ZERO_READINGS: usize = 5;
-const DRIFT_NMM: f64 = 0.003;
-const MAP_SHARE: f64 = 0.003;
 /// Rounding of a region's end at the tip, mm.
 const ROUNDING_MM: f64 = 1e-9;
 /// Short ones of them, for a stream: each reading takes the time of a fit.
@@ -33,89 +29,17 @@ const ACCURACY: MotionAccuracy = MotionAccuracy { moved_sd_mm: 0.005, clock_sd_s
 /// By how much the truth of the control is shifted along the wire, mm.
 const SHIFT_MM: f64 = 4.0;
 
-/// The rows of a sweep under its true map; the motion times a factor.
+/// The rows of a sweep; the motion times a factor.
 fn rows(case: &SweepCase, way: f64) -> Vec<MotionRow> {
-    let bench = &case.scene.bench;
-    let [[a, b], [c, d]] = bench.k;
-    let nmm_per_pm = Matrix2::new(a, b, c, d).try_inverse().unwrap();
-    let shift = |k: usize| {
-        let pm = [0, 1].map(|c| 1e3 * (case.readings[k].fbg_nm[c] - bench.nominal_nm[c]));
-        nmm_per_pm * Vector2::from(pm)
-    };
-    let zero = (0..ZERO_READINGS).map(shift).sum::<Vector2<f64>>() / ZERO_READINGS as f64;
-    let noise_nmm2 = nmm_per_pm * nmm_per_pm.transpose() * case.scene.noise_pm.powi(2);
-    let zero_nmm = (0.5 * noise_nmm2.trace() / ZERO_READINGS as f64).sqrt().hypot(DRIFT_NMM);
-    let row = |k: usize| {
-        let m = shift(k) - zero;
-        let share = MAP_SHARE * m;
-        let map = [[share.x, 0.0], [0.0, share.x], [share.y, 0.0], [0.0, share.y]];
-        MotionRow {
-            t_s: case.readings[k].t_s,
-            moment_nmm: m.into(),
-            noise_nmm2,
-            shared_nmm: [[zero_nmm, 0.0], [0.0, zero_nmm]].into_iter().chain(map).collect(),
-            free_nmm2: None,
-            shared_displacement_mm: Vec::new(),
-            moved_mm: -case.readings[k].base_mm * way,
-            turn: Rotation3::identity(),
-            velocity_mm_s: Vector3::zeros(),
-            moved_sd_mm: 0.0,
-            free: false,
-            contact_segment: 0,
-        }
-    };
-    (0..case.readings.len()).map(row).collect()
+    let wire = calibrated(&whisker(case), MESH_MM);
+    readings(case, way)
+        .iter()
+        .map(|r| MotionRow { free_nmm2: None, ..wire.row(r, &ACCURACY).unwrap() })
+        .collect()
 }
 
 fn wire(case: &SweepCase) -> TouchedWire {
-    calibrated(case).touched().unwrap()
-}
-
-fn calibrated(case: &SweepCase) -> CalibratedWire {
-    let whisker = whisker(case);
-    CalibratedWire::of_rod(wcal_rod::Rod::new(&whisker, MESH_MM).unwrap(), whisker.diameter_mm)
-}
-
-fn whisker(case: &SweepCase) -> WhiskerSpec {
-    let b = &case.scene.bench;
-    let rest_shape = RestShape::StraightArc {
-        straight_mm: b.straight_mm,
-        arc_radius_mm: b.arc_radius_mm,
-        length_mm: b.length_mm,
-    };
-    WhiskerSpec {
-        diameter_mm: b.diameter_mm,
-        youngs_gpa: b.youngs_gpa,
-        shear_gpa: b.shear_gpa,
-        density_kg_m3: None,
-        rest_shape,
-        gravity_direction: None,
-    }
-}
-
-/// Rows as a stream's readings.
-fn readings(rows: &[MotionRow]) -> impl Iterator<Item = Reading> + '_ {
-    rows.iter().enumerate().map(|(k, row)| {
-        let zero = Matrix2::from_columns(&[row.shared_nmm[0].into(), row.shared_nmm[1].into()]);
-        let moments = Moments {
-            moment_nmm: row.moment_nmm,
-            sd_nmm: [0.0; 2],
-            valid: true,
-            pose_nmm2: row.noise_nmm2,
-            own_nmm2: Some(row.noise_nmm2),
-            drift_nmm2: Matrix2::zeros(),
-            zero_nmm2: zero * zero.transpose(),
-            shared_nmm: row.shared_nmm[2..].to_vec(),
-        };
-        let motion = RowMotion {
-            moved_mm: row.moved_mm,
-            turn: row.turn,
-            velocity_mm_s: row.velocity_mm_s,
-            piece: 0,
-            push: None,
-        };
-        Reading { motion: Ok(motion), ..Reading::alone(k as i64, row.t_s, Some(moments)) }
-    })
+    calibrated(&whisker(case), MESH_MM).touched().unwrap()
 }
 
 /// Errors in space (mm), whether the region along the wire holds the truth shifted by `shift_mm`, and whether the ellipsoid in space holds the
@@ -223,9 +147,9 @@ fn a_stream_follows_a_contact_that_slides() {
     // Errors of the readings of a sweep that are followed as sliding, along the motion times a factor.
     let slid = |case: &SweepCase, way: f64| {
         let stream = {
-            let mut stream = KnownMotionStream::new(calibrated(case), ACCURACY, false);
+            let mut stream = KnownMotionStream::new(calibrated(&whisker(case), MESH_MM), ACCURACY, false);
             let push = |r: Reading| stream.push(&r).unwrap().remove(0);
-            readings(&rows(case, way)).map(push).collect::<Vec<Contact>>()
+            readings(case, way).into_iter().map(push).collect::<Vec<Contact>>()
         };
         let error = |(c, r): (&Contact, &SweepReading)| {
             let at = c.estimate.filter(|_| c.flags.has(Flags::SLIDING_ASSUMED))?.place_mm;

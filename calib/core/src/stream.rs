@@ -23,6 +23,8 @@ impl Flags {
     pub const DROPPED: Self = Self(64);
     /// The filter is not full yet: since the start or since what another flag says.
     pub const FILLING: Self = Self(128);
+    /// Contact of a wire that the network was not trained on; its place assumes that it was.
+    pub const WIRE_ASSUMED: Self = Self(256);
     /// Moments and known motion do not belong together.
     pub const MOTION_DISAGREES: Self = Self(512);
     /// The motion at this time is not known.
@@ -32,7 +34,7 @@ impl Flags {
     /// No fixed point of the object explains the moments along the known motion; one that slides does, and was assumed.
     pub const SLIDING_ASSUMED: Self = Self(4096);
 
-    const NAMES: [(Self, &'static str); 12] = [
+    const NAMES: [(Self, &'static str); 13] = [
         (Self::GAP, "gap"),
         (Self::PEAK_LOST, "peak-lost"),
         (Self::CROSSING, "crossing"),
@@ -41,6 +43,7 @@ impl Flags {
         (Self::CLOCK, "clock"),
         (Self::DROPPED, "dropped"),
         (Self::FILLING, "filling"),
+        (Self::WIRE_ASSUMED, "wire-assumed"),
         (Self::MOTION_DISAGREES, "motion-disagrees"),
         (Self::MOTION_LOST, "motion-lost"),
         (Self::MOTION_ASSUMED, "motion-assumed"),

@@ -165,7 +165,7 @@ fn track(
     (vouched, velocity_mm_s): (bool, Option<Vector3<f64>>),
     score: &mut Score,
 ) {
-    let mut estimator = NetworkEstimator::new((tracker, card), tracker.filters, vouched);
+    let mut estimator = NetworkEstimator::new((tracker, card), tracker.filters, vouched, None);
     for (k, row) in rows.iter().enumerate() {
         let alone = Reading::alone(k as i64, k as f64 / RATE_HZ, Some(noisy(row.moment_nmm)));
         let contacts = estimator.push(&Reading { velocity_mm_s, ..alone }).unwrap();

@@ -1,5 +1,6 @@
 //! The network that `wcal` runs is the one that was trained: the same numbers come out of both, on inputs of sweeps (SIMULATED).
 
+use crate::tracking::coarse_inverse;
 use burn::tensor::{Device, Tensor, TensorData};
 use std::path::Path;
 use wcal_core::observation::WhiskerSpec;
@@ -7,9 +8,9 @@ use wcal_lab::generate_sweeps::{SweepRequest, generate_sweeps};
 use wcal_lab::model_file::{preset, put_weights, read_card, runnable};
 use wcal_lab::network::{TrainableNet, attention_bias};
 use wcal_lab_sweeps::{SweepPlan, objects};
+use wcal_track::StaticInverse;
 use wcal_track::filter::{BayesSettings, FilterBank};
 use wcal_track::network::{FeatureExtractor, KvCache, NetworkConfig};
-use wcal_track::{InverseGrid, StaticInverse};
 
 /// Inputs and times (s) of two sweeps, more than the network's context.
 fn recorded(inverse: &StaticInverse, filters: FilterBank) -> (Vec<Vec<f32>>, Vec<f64>) {
@@ -69,17 +70,9 @@ fn what_wcal_runs_is_what_was_trained() {
         assert!(apart > 1e-4, "{name}: {apart}");
     }
     // The paper's sizes and head, with weights as drawn.
-    let grid = InverseGrid {
-        step_mm: 4.0,
-        refine: 1,
-        tilts: 3,
-        directions: 24,
-        steps: 16,
-        ..InverseGrid::default()
-    };
-    let inverse = StaticInverse::new(&WhiskerSpec::nominal(), grid).unwrap();
-    let config = NetworkConfig { dropout: 0.0, ..preset("paper", &inverse, false).unwrap() };
-    let (inputs, times_s) = recorded(&inverse, BayesSettings::multi_mu().into());
+    let inverse = coarse_inverse();
+    let config = NetworkConfig { dropout: 0.0, ..preset("paper", inverse, false).unwrap() };
+    let (inputs, times_s) = recorded(inverse, BayesSettings::multi_mu().into());
     device.seed(3);
     let net = TrainableNet::new(&config, &device).unwrap();
     let off = difference(&net, &config, config.context, (&inputs, &times_s));

@@ -1,5 +1,6 @@
 //! Answers are trained to lie on the object's surface, too. On small SIMULATED series.
 
+use crate::tracking::coarse_inverse;
 use burn::tensor::Device;
 use nalgebra::{Point3, Vector3};
 use std::collections::BTreeMap;
@@ -11,9 +12,9 @@ use wcal_lab::model_file::{preset, runnable};
 use wcal_lab::train::{TrainSettings, TrainingData, train};
 use wcal_lab_sweeps::{SweepPlan, objects};
 use wcal_sim::Mesh;
+use wcal_track::Tracker;
 use wcal_track::network::NetworkConfig;
 use wcal_track::sd_factors::SdFactors;
-use wcal_track::{InverseGrid, StaticInverse, Tracker};
 
 type Meshes = BTreeMap<String, Mesh>;
 
@@ -55,16 +56,8 @@ fn a_point_above_the_ball_comes_down_to_where_it_was_lifted_from() {
 #[test]
 fn answers_come_nearer_to_the_surface_where_training_knows_it() {
     let meshes = meshes();
-    let grid = InverseGrid {
-        step_mm: 4.0,
-        refine: 1,
-        tilts: 3,
-        directions: 24,
-        steps: 16,
-        ..InverseGrid::default()
-    };
-    let inverse = StaticInverse::new(&WhiskerSpec::nominal(), grid).unwrap();
-    let small = preset("compact", &inverse, true).unwrap();
+    let inverse = coarse_inverse();
+    let small = preset("compact", inverse, true).unwrap();
     let config =
         NetworkConfig { layers: 1, heads: 2, width: 16, feed_forward: 32, encoder: 24, context: 24, ..small };
     let settings = TrainSettings {
@@ -81,13 +74,8 @@ fn answers_come_nearer_to_the_surface_where_training_knows_it() {
     let judged = all_series(&meshes, 5, 6);
     let device = Device::flex();
     let surface_mm = |known: &Meshes| {
-        let material = TrainingData {
-            all_series: &trained,
-            held_out: &held_out,
-            inverse: &inverse,
-            meshes: known,
-            from: None,
-        };
+        let material =
+            TrainingData { all_series: &trained, held_out: &held_out, inverse, meshes: known, from: None };
         let (net, passes) = train(&config, &settings, &material, None, &device, |_| {}).unwrap();
         assert!(passes.iter().all(|p| p.held_out_surface_mm.is_some() != known.is_empty()));
         let (filters, inverse) = (settings.filters(), inverse.clone());

@@ -29,7 +29,8 @@ fn grid() -> InverseGrid {
     InverseGrid { step_mm: 4.0, refine: 1, tilts: 3, directions: 24, steps: 16, ..InverseGrid::default() }
 }
 
-fn inverse() -> &'static StaticInverse {
+/// Of the nominal whisker, coarse.
+pub fn coarse_inverse() -> &'static StaticInverse {
     static INVERSE: OnceLock<StaticInverse> = OnceLock::new();
     INVERSE.get_or_init(|| StaticInverse::new(&whisker(), grid()).unwrap())
 }
@@ -66,7 +67,7 @@ fn all_series() -> &'static BTreeMap<String, Vec<SweepSeries>> {
 }
 
 fn tiny() -> NetworkConfig {
-    let config = preset("compact", inverse(), true).unwrap();
+    let config = preset("compact", coarse_inverse(), true).unwrap();
     NetworkConfig { layers: 2, heads: 2, width: 16, feed_forward: 32, encoder: 24, context: 24, ..config }
 }
 
@@ -81,7 +82,7 @@ fn tracker(config: NetworkConfig) -> Tracker {
     Tracker {
         config,
         net: runnable(&net(&config), &config).unwrap().0,
-        inverse: inverse().clone(),
+        inverse: coarse_inverse().clone(),
         filters: TrainSettings::default().filters(),
         sd_factors: [1.0; 2].map(SdFactors::constant),
     }
@@ -243,7 +244,7 @@ fn a_later_sample_changes_no_earlier_answer_and_an_earlier_one_does() {
 #[test]
 fn a_filter_beside_another_believes_what_it_does_alone() {
     let both = TrainSettings::default().filters();
-    let filter = |settings| BayesFilter::new(inverse(), settings);
+    let filter = |settings| BayesFilter::new(coarse_inverse(), settings);
     let (mut first, mut beside, mut alone) =
         (filter(both.frictional), filter(both.frictionless.unwrap()), filter(both.frictionless.unwrap()));
     let mut apart = 0.0_f64;
@@ -338,7 +339,7 @@ fn training_learns_and_goes_on_where_it_stopped() {
     let material = TrainingData {
         all_series: &all[..8],
         held_out: &all[8..],
-        inverse: inverse(),
+        inverse: coarse_inverse(),
         meshes: &meshes,
         from: None,
     };

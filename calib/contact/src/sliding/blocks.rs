@@ -71,8 +71,7 @@ pub(super) fn blocks(rows: &[MotionRow]) -> (Means, Vec<(usize, f64)>) {
         let way = |k: usize| (rows[k].moved_mm - rows[from].moved_mm).norm();
         let mut to = (from + 1..rows.len()).find(|k| way(*k) >= STEP_MM).unwrap_or(rows.len());
         // What is left at the end joins the last block.
-        let last = rows.len() - 1;
-        if to <= last && (rows[last].moved_mm - rows[to].moved_mm).norm() < 0.5 * STEP_MM {
+        if rows[to..].iter().all(|r| (r.moved_mm - rows[to].moved_mm).norm() < 0.5 * STEP_MM) {
             to = rows.len();
         }
         all.push(&rows[from..to]);

@@ -1,17 +1,17 @@
-//! The tracks of a stream: scans in, rows out, whisker by whisker.
+//! Readings of a stream: scans in, readings out, whisker by whisker.
 
 use crate::ContactError;
 use crate::calibrated_wire::CalibratedWire;
 use crate::estimator::{Estimator, Message};
 use crate::known_groove::{KnownGroove, KnownPlace};
 use crate::known_motion::MotionLog;
-use crate::known_motion_stream::{KnownMotionStream, MotionAccuracy};
-use crate::reading::{Moments, Reading};
+use crate::known_motion_stream::KnownMotionStream;
+use crate::reading::{Moments, MotionAccuracy, Reading};
 use crate::stream_motion::{StreamMotion, kernel};
+use crate::track::Input;
 use crate::track_document::{
     FilterDocument, StreamDocument, StreamMotionDocument, StreamedWhisker, TimeDocument,
 };
-use crate::track_table::{TrackFiles, TrackRow};
 use crate::trust::WhiskerModel;
 use crate::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
 use nalgebra::{Matrix2, Vector3};
@@ -54,7 +54,6 @@ struct Whisker<'a> {
     whisker: WhiskerSpec,
     reader: WhiskerReader,
     chain: SignalChain,
-    track: WhiskerTrack<'a>,
     /// Middle of the free wire, base frame, and what the calibration adds to the declared place of the groove, mm.
     middle_mm: Vector3<f64>,
     offset_mm: Vector3<f64>,
@@ -64,8 +63,8 @@ struct Whisker<'a> {
     unusable: u64,
 }
 
-/// The tracks of all whiskers with what they share.
-pub struct StreamTracks<'a> {
+/// The readings of all whiskers with what they share.
+pub struct StreamSource<'a> {
     all: Vec<Whisker<'a>>,
     motion: StreamMotion,
     stream: StreamSettings,
@@ -81,15 +80,15 @@ pub struct StreamTracks<'a> {
     gaps: u64,
     next_serial: Option<u64>,
     settings: SignalChainSettings,
-    /// Time in filters and maps, and in the network.
-    spent: [Duration; 2],
+    /// Time in filters and maps.
+    spent: Duration,
     /// When the first scan was taken, and how long the stream is, s.
     begun: Option<Instant>,
     stream_s: f64,
 }
 
-impl<'a> StreamTracks<'a> {
-    /// Whiskers of a rig; a log takes the place of the stage's motion.
+impl<'a> StreamSource<'a> {
+    /// Whiskers of a rig with their tracks; a log takes the place of the stage's motion.
     ///
     /// # Errors
     /// Where gratings, calibration, filter or base do not fit.
@@ -98,7 +97,7 @@ impl<'a> StreamTracks<'a> {
         (place, rig): (&str, &Rig),
         loaded: &'a [WhiskerModel<'a>],
         log: Option<MotionLog>,
-    ) -> Result<Self, ContactError> {
+    ) -> Result<(Self, Vec<WhiskerTrack<'a>>), ContactError> {
         let settings = SignalChainSettings {
             rate_hz: rig.interrogator.rate_hz,
             out_hz: stream.rate_hz,
@@ -108,8 +107,10 @@ impl<'a> StreamTracks<'a> {
         // Without a base that moves, the stage carries the groove.
         let of_groove = log.is_none() && rig.base.is_none();
         let one = |l: &'a WhiskerModel<'a>| Whisker::new(&stream, &settings, (place, rig), l, of_groove);
-        Ok(Self {
-            all: loaded.iter().map(one).collect::<Result<_, ContactError>>()?,
+        let both = loaded.iter().map(one).collect::<Result<Vec<_>, ContactError>>()?;
+        let (all, tracks) = both.into_iter().unzip();
+        let own = Self {
+            all,
             motion: StreamMotion::new(place, rig, stream.base_mm_s, log)?,
             stream,
             clocks: ClockPair::default(),
@@ -123,15 +124,11 @@ impl<'a> StreamTracks<'a> {
             gaps: 0,
             next_serial: None,
             settings,
-            spent: [Duration::ZERO; 2],
+            spent: Duration::ZERO,
             begun: None,
             stream_s: 0.0,
-        })
-    }
-
-    /// Names.
-    pub fn names(&self) -> Vec<String> {
-        self.all.iter().map(|w| w.loaded.name.clone()).collect()
+        };
+        Ok((own, tracks))
     }
 
     /// Time since the first scan by the device's clock without its steps, s.
@@ -181,24 +178,20 @@ impl<'a> StreamTracks<'a> {
     }
 
     /// Compares answers with the groove of the session's readings; `whisker` is whose session it is, none where the rig has one alone.
-    pub fn know_groove(&mut self, places: &[KnownPlace], whisker: Option<&str>) {
+    pub fn know_groove(&self, tracks: &mut [WhiskerTrack<'_>], places: &[KnownPlace], whisker: Option<&str>) {
         let one = self.all.len() == 1;
-        for w in self.all.iter_mut().filter(|w| one || whisker.is_some_and(|id| id == w.loaded.name)) {
+        let named = |w: &Whisker<'_>| one || whisker.is_some_and(|id| id == w.loaded.name);
+        for (w, track) in self.all.iter().zip(tracks).filter(|(w, _)| named(w)) {
             let moved = |p: &KnownPlace| KnownPlace { groove_mm: p.groove_mm + w.offset_mm, ..*p };
-            w.track.know_groove(KnownGroove::new(places.iter().map(moved).collect(), &w.whisker));
+            track.know_groove(KnownGroove::new(places.iter().map(moved).collect(), &w.whisker));
         }
     }
 
-    /// Takes a scan. `dropped`: scans before it were dropped on this side.
+    /// Takes a scan; the readings that the filters settle by it. `dropped`: scans before it were dropped on this side.
     ///
     /// # Errors
-    /// Where the stream is not the one that the rig describes, or the disk takes no more.
-    pub fn scan(
-        &mut self,
-        reading: &FbgReading,
-        dropped: bool,
-        files: &mut TrackFiles,
-    ) -> Result<(), ContactError> {
+    /// Where the stream is not the one that the rig describes.
+    pub fn scan(&mut self, reading: &FbgReading, dropped: bool) -> Result<Vec<Input>, ContactError> {
         let device_s = reading.clocks.device_s.unwrap_or(reading.clocks.host_s);
         self.origin_s.get_or_insert(device_s);
         self.clocks.add(reading.clocks.host_s, device_s);
@@ -210,22 +203,16 @@ impl<'a> StreamTracks<'a> {
             self.lost += reading.serial.saturating_sub(next);
         }
         self.next_serial = Some(reading.serial + 1);
-        for w in &mut self.all {
-            let start = Instant::now();
+        let (start, mut inputs) = (Instant::now(), Vec::new());
+        for (k, w) in self.all.iter_mut().enumerate() {
             let sensed = w.reader.take(reading, dropped)?;
             w.unusable += u64::from(sensed.shift_pm.is_none());
-            let row = w.chain.push(&sensed);
-            self.spent[0] += start.elapsed();
-            if let Some(row) = row {
-                let start = Instant::now();
-                let rows = w.row(&row, &self.motion)?;
-                self.spent[1] += start.elapsed();
-                for row in rows {
-                    files.row(&row)?;
-                }
+            if let Some(row) = w.chain.push(&sensed) {
+                inputs.push(Input::Reading(k, Box::new(w.reading(&row, &self.motion))));
             }
         }
-        Ok(())
+        self.spent += start.elapsed();
+        Ok(inputs)
     }
 
     /// Scans that are missing, and that a whisker could not use.
@@ -239,34 +226,21 @@ impl<'a> StreamTracks<'a> {
         silent.map(|w| w.loaded.name.as_str()).collect()
     }
 
-    /// Ends the contacts at hand: the stream is over; the rows that are left.
-    ///
-    /// # Errors
-    /// Where the disk takes no more.
-    pub fn end(&mut self, files: &mut TrackFiles) -> Result<(), ContactError> {
-        for w in &mut self.all {
-            for row in w.track.finish()? {
-                files.row(&row)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// The track of each whisker.
-    pub fn tracks(&self) -> impl Iterator<Item = &WhiskerTrack<'a>> {
-        self.all.iter().map(|w| &w.track)
-    }
-
-    /// What was found: for track.json, for people, and for the exit code. `dropped`: scans that the tracker dropped.
-    pub fn findings(&self, cut_off: Option<Vec<String>>, dropped: u64) -> StreamFindings {
+    /// What was found: for track.json, for people, and for the exit code. `dropped`: scans that the tracker dropped; `tracked`: time in the tracks.
+    pub fn findings(
+        &self,
+        tracks: &[WhiskerTrack<'_>],
+        (cut_off, dropped): (Option<Vec<String>>, u64),
+        tracked: Duration,
+    ) -> StreamFindings {
         let filter = self.all.first().map(|w| w.chain.filter());
         let seconds = |d: Duration| d.as_secs_f64();
         let wall_s = self.begun.map(|b| seconds(b.elapsed()));
         let (mut messages, mut outcome) = (Vec::new(), Outcome::default());
         let mut whiskers = Vec::with_capacity(self.all.len());
-        for w in &self.all {
-            let found = w.track.findings();
-            let name = w.track.name();
+        for (w, track) in self.all.iter().zip(tracks) {
+            let found = track.findings();
+            let name = track.name();
             let whose = if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
             messages.extend(found.messages.iter().map(|m: &Message| m.line(&whose)));
             outcome = outcome.and(found.outcome);
@@ -296,8 +270,8 @@ impl<'a> StreamTracks<'a> {
                 stream_s: self.stream_s,
                 wall_s,
                 times_real_time: wall_s.map(|wall| self.stream_s / wall),
-                chain_us_per_scan: seconds(self.spent[0]) * 1e6 / (self.scans.max(1) as f64),
-                network_s: seconds(self.spent[1]),
+                chain_us_per_scan: seconds(self.spent) * 1e6 / (self.scans.max(1) as f64),
+                network_s: seconds(tracked),
             },
             whiskers,
             stream_motion: self.motion_document(),
@@ -334,13 +308,13 @@ impl<'a> Whisker<'a> {
         (place, rig): (&str, &Rig),
         l: &'a WhiskerModel<'a>,
         of_groove: bool,
-    ) -> Result<Self, ContactError> {
+    ) -> Result<(Self, WhiskerTrack<'a>), ContactError> {
         let calibration = l.calibration()?;
         let map = calibration.stream().map_err(ContactError::in_file(&l.place))?;
         let (frame, whisker) = (l.frame()?, l.whisker()?);
         let chain = SignalChain::new(settings, map)?;
         let (estimator, middle_mm, offset_mm): (Box<dyn Estimator + 'a>, _, _) =
-            match l.estimator(stream.vouched) {
+            match l.estimator(stream.vouched)? {
                 Some(network) => (Box::new(network), Vector3::zeros(), Vector3::zeros()),
                 None => {
                     let (accepted, changed) =
@@ -360,22 +334,22 @@ impl<'a> Whisker<'a> {
             doubts: l.doubts.messages(),
             calibration_sha256: l.file.content_sha256.clone(),
         };
-        Ok(Self {
+        let own = Self {
             loaded: l,
             whisker,
             reader: WhiskerReader::new(place, &rig.interrogator, &l.name, calibration.fbg())?,
             kernel: kernel(chain.filter()),
             chain,
-            track: WhiskerTrack::new(facts, (frame, estimator), stream.tare_s, true),
             middle_mm,
             offset_mm,
             prefix_s: stream.prefix_s,
             unusable: 0,
-        })
+        };
+        Ok((own, WhiskerTrack::new(facts, (frame, estimator), stream.tare_s, true)))
     }
 
-    /// The rows that a row of the filter settles.
-    fn row(&mut self, row: &Row, motion: &StreamMotion) -> Result<Vec<TrackRow>, ContactError> {
+    /// A row of the filter as a reading.
+    fn reading(&self, row: &Row, motion: &StreamMotion) -> Reading {
         let known = motion.at(row.t_s);
         let MomentSpread { noise_nmm2, shared_nmm } = self.chain.spread();
         let moments = row.moments.map(|m| Moments {
@@ -388,7 +362,7 @@ impl<'a> Whisker<'a> {
             zero_nmm2: Matrix2::zeros(),
             shared_nmm,
         });
-        self.track.push(Reading {
+        Reading {
             point: i64::try_from(row.serial).unwrap_or(i64::MAX),
             t_s: row.t_s,
             flags: row.flags,
@@ -400,7 +374,7 @@ impl<'a> Whisker<'a> {
             base_mm_s: known.base_mm_s,
             velocity_mm_s: known.velocity_mm_s,
             in_prefix: self.chain.prefix().block_nmm2().is_none() && row.t_s < self.prefix_s,
-        })
+        }
     }
 
     fn document(&self, rows: crate::track_document::WhiskerDocument) -> StreamedWhisker {

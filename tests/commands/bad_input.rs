@@ -7,6 +7,7 @@ mod closed_pipes;
 mod columns;
 mod documents;
 mod foreign_files;
+mod foreign_tables;
 mod gratings;
 mod imports;
 mod limits;

@@ -4,7 +4,10 @@ use crate::output::Overwrite;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use wcal_core::TransducerModel;
-use wcal_session::{Separator, TextTableLayout};
+use wcal_session::{Separator, TextTableLayout, WHISKER_COLUMNS, column_name};
+
+/// Columns of a sweep that tell its header.
+const SWEEP_COLUMNS: [&str; 3] = ["t_s", "fbg_1_nm", "fbg_2_nm"];
 
 /// Arguments of `wcal import`.
 #[derive(Debug, Args)]
@@ -48,12 +51,12 @@ pub struct ImportArgs {
     /// constant, linear, quadratic (transducer), or WHISKER.toml (whisker)
     #[arg(long, value_name = "MODEL", value_parser = declared, required_if_eq_any([("kind", "transducer"), ("kind", "whisker")]))]
     pub model: Option<Declared>,
-    /// Unit of the stimulus (transducer)
-    #[arg(long, value_name = "UNIT", default_value = "1")]
-    pub stimulus_unit: String,
-    /// Unit of the response (transducer)
-    #[arg(long, value_name = "UNIT", default_value = "1")]
-    pub response_unit: String,
+    /// Unit of the stimulus (transducer) [default: that of the table, else 1]
+    #[arg(long, value_name = "UNIT")]
+    pub stimulus_unit: Option<String>,
+    /// Unit of the response (transducer) [default: that of the table, else 1]
+    #[arg(long, value_name = "UNIT")]
+    pub response_unit: Option<String>,
     /// Further column, with its name in the session; may be repeated
     #[arg(long = "covariate", value_name = "NAME=COL")]
     pub covariates: Vec<String>,
@@ -64,10 +67,10 @@ pub struct ImportArgs {
     #[arg(long, value_name = "COL")]
     pub measured: Option<String>,
 
-    /// Column of the time, s
+    /// Column of the time: s, another unit that it names, or time stamps
     #[arg(long, value_name = "COL")]
     pub time: Option<String>,
-    /// Column of the direction, +1 or -1
+    /// Column of the direction: +1 or -1, + or -, up or down
     #[arg(long, value_name = "COL")]
     pub direction: Option<String>,
     /// Column of the temperature, deg C
@@ -89,9 +92,9 @@ pub struct ImportArgs {
     /// Names of the columns, where there is no header line
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub columns: Option<Vec<String>>,
-    /// comma, semicolon, tab or whitespace
-    #[arg(long, value_name = "SEPARATOR", default_value = "comma")]
-    pub separator: Separator,
+    /// comma, semicolon, tab or whitespace [default: what the file states, else comma]
+    #[arg(long, value_name = "SEPARATOR")]
+    pub separator: Option<Separator>,
     /// Short for --separator whitespace
     #[arg(long, conflicts_with = "separator")]
     pub whitespace: bool,
@@ -138,8 +141,41 @@ pub(super) fn name_of(value: impl ValueEnum) -> String {
     value.to_possible_value().map(|v| v.get_name().to_owned()).unwrap_or_default()
 }
 
+/// How the table is laid out, and which of its columns are asked for.
 pub(super) fn layout(args: &ImportArgs) -> TextTableLayout {
-    let separator = if args.whitespace { Separator::Whitespace } else { args.separator };
-    let (columns, skip_lines) = (args.columns.clone(), args.skip_lines);
-    TextTableLayout { skip_lines, columns, separator, decimal_comma: args.decimal_comma }
+    let separator = if args.whitespace { Some(Separator::Whitespace) } else { args.separator };
+    let mapped = args.covariates.iter().map(|c| c.split_once('=').map_or(c.as_str(), |(_, column)| column));
+    let named = [
+        &args.stimulus,
+        &args.response,
+        &args.commanded,
+        &args.measured,
+        &args.time,
+        &args.direction,
+        &args.temperature,
+        &args.cycle,
+        &args.replicate,
+        &args.role,
+    ];
+    let named = named.into_iter().flatten().map(String::as_str).chain(mapped);
+    // Those that are taken along by their own names tell a header, too.
+    let known: &[&str] = match args.kind {
+        Kind::Transducer | Kind::Axis => &[],
+        Kind::Whisker => &WHISKER_COLUMNS,
+        Kind::Sweep => &SWEEP_COLUMNS,
+    };
+    let asked = named.map(|column| split_factor(column).0).chain(known.iter().copied());
+    TextTableLayout {
+        skip_lines: args.skip_lines,
+        columns: args.columns.clone(),
+        separator,
+        decimal_comma: args.decimal_comma,
+        asked: Some(asked.map(column_name).collect()),
+    }
+}
+
+/// A column and the factor that its cells are multiplied by, as `COL*FACTOR`.
+pub(super) fn split_factor(text: &str) -> (&str, Option<f64>) {
+    let parts = text.rsplit_once('*').map(|(name, factor)| (name.trim(), factor.trim().parse::<f64>().ok()));
+    parts.filter(|(_, factor)| factor.is_some()).unwrap_or((text, None))
 }

@@ -1,9 +1,10 @@
 //! Column mapping: cells of the foreign table under the session's names.
 
-use super::arguments::{Declared, ImportArgs, Kind};
+use super::arguments::{Declared, ImportArgs, Kind, split_factor};
+use super::units;
 use anyhow::{Context, bail, ensure};
 use wcal_core::TransducerModel;
-use wcal_session::{TextTable, WHISKER_COLUMNS};
+use wcal_session::{TextTable, WHISKER_COLUMNS, named};
 
 /// Columns of the other kinds that are taken along wherever a table has them under these names.
 const SCALAR_COLUMNS: &[&str] = &["t_s", "direction", "temperature_degc", "replicate", "cycle"];
@@ -13,8 +14,10 @@ const TEXT_COLUMNS: &[&str] = &["role"];
 
 /// Where a column of the session comes from.
 enum Source {
-    /// A column of the foreign table, times a factor where one was given.
-    Column { index: usize, factor: Option<f64> },
+    /// A column of the foreign table, times a factor.
+    Column { index: usize, factor: f64 },
+    /// A column of time stamps: seconds after its first, by row.
+    Stamps { index: usize, times: Vec<Option<f64>> },
     /// A commanded position and the error of the measured one, each times a factor: their sum.
     Position { commanded: (usize, f64), error: (usize, f64) },
     /// Number of the row, from 1.
@@ -26,68 +29,104 @@ enum Source {
 /// Where the columns of the session come from.
 pub(super) struct Plan {
     columns: Vec<(String, Source)>,
-    /// Columns that stand in the table more than once, with the same cells, in words.
-    pub(super) repeated: Vec<String>,
+    /// Unit of the stimulus and of the response.
+    pub(super) units: [String; 2],
+    /// How the table was read, in words.
+    pub(super) remarks: Vec<String>,
+    /// What is odd about it.
+    pub(super) warnings: Vec<String>,
+}
+
+/// The session's table, and the rows of the foreign one that are in it.
+pub(super) struct Points {
+    pub(super) csv: Vec<u8>,
+    /// Indices of the rows.
+    pub(super) rows: Vec<usize>,
+}
+
+impl Points {
+    /// Line of the foreign table that a line of the session's comes from.
+    pub(super) fn line(&self, table: &TextTable, line: usize) -> usize {
+        // The header is line 1.
+        self.rows.get(line.saturating_sub(2)).map_or(line, |&row| table.rows[row].0)
+    }
 }
 
 impl Plan {
-    /// The session's table as CSV.
+    /// The session's table. Rows without a value that each row needs are left out and said.
     ///
     /// # Errors
-    /// Where a cell is not what its column needs.
-    pub(super) fn csv(&self, table: &TextTable) -> anyhow::Result<Vec<u8>> {
-        for (name, source) in &self.columns {
-            if let Source::Column { index, .. } = source
-                && !TEXT_COLUMNS.contains(&name.as_str())
-            {
-                table.check_thousands(*index)?;
-            }
-        }
-        let mut out = self.columns.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(",");
-        out.push('\n');
+    /// Where a cell is not what its column needs, or most rows lack one.
+    pub(super) fn points(&mut self, table: &TextTable, kind: Kind) -> anyhow::Result<Points> {
+        let mut csv = self.columns.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(",");
+        csv.push('\n');
+        let (mut rows, mut without) = (Vec::new(), Vec::new());
         for row in 0..table.rows.len() {
-            for (position, (name, source)) in self.columns.iter().enumerate() {
-                if position > 0 {
-                    out.push(',');
-                }
-                match source {
-                    Source::Order => out.push_str(&(row + 1).to_string()),
-                    Source::Calibration => out.push_str("calibration"),
-                    Source::Position { commanded, error } => {
-                        let [commanded, error] = [commanded, error].map(|(index, factor)| {
-                            table.number(row, *index).map(|value| Some(value? * factor))
-                        });
-                        if let (Some(commanded), Some(error)) = (commanded?, error?) {
-                            out.push_str(&format!("{}", commanded + error));
-                        }
-                    }
-                    Source::Column { index, .. } if TEXT_COLUMNS.contains(&name.as_str()) => {
-                        let text = table.rows[row].1[*index].trim();
-                        ensure!(
-                            !text.contains([',', '"', '\n']),
-                            "{}: role {text:?} is not a word",
-                            table.file
-                        );
-                        out.push_str(text);
-                    }
-                    Source::Column { index, factor } => {
-                        // `{}` prints the shortest text that reads back as the same number: nothing is lost.
-                        if let Some(value) = table.number(row, *index)? {
-                            out.push_str(&format!("{}", value * factor.unwrap_or(1.0)));
-                        }
-                    }
-                }
+            let cells: Vec<String> =
+                self.columns.iter().map(|column| cell(table, row, column)).collect::<anyhow::Result<_>>()?;
+            let needed = |name: &str| {
+                kind != Kind::Whisker
+                    && !matches!(name, "t_s" | "direction" | "temperature_degc" | "cycle" | "replicate")
+            };
+            let lacks =
+                self.columns.iter().zip(&cells).position(|((name, _), cell)| cell.is_empty() && needed(name));
+            if let Some(column) = lacks {
+                without.push((column, row));
+                continue;
             }
-            out.push('\n');
+            rows.push(row);
+            csv += &cells.join(",");
+            csv.push('\n');
         }
-        Ok(out.into_bytes())
+        self.say_missing(table, &without)?;
+        Ok(Points { csv: csv.into_bytes(), rows })
+    }
+
+    fn say_missing(&mut self, table: &TextTable, without: &[(usize, usize)]) -> anyhow::Result<()> {
+        let line = |row: &usize| table.rows[*row].0;
+        if let Some((column, row)) = without.first().filter(|_| 2 * without.len() > table.rows.len()) {
+            let (column, found) = self.cell_of(table, *column, *row);
+            bail!(
+                "{}, row at line {}, field {column}: expected a number in most rows, found {found:?} and the like in {} of {} rows",
+                table.file,
+                line(row),
+                without.len(),
+                table.rows.len()
+            );
+        }
+        for (k, _) in self.columns.iter().enumerate() {
+            let rows: Vec<usize> = without.iter().filter(|w| w.0 == k).map(|w| w.1).collect();
+            if let Some(first) = rows.first() {
+                let (column, _) = self.cell_of(table, k, *first);
+                let lines = named(&rows.iter().map(line).collect::<Vec<_>>());
+                self.warnings.push(format!(
+                    "{}: no value of {column} in {} of {} rows, left out as missing: line(s) {lines}",
+                    table.file,
+                    rows.len(),
+                    table.rows.len()
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Name and cell in the foreign table of a column of the session.
+    fn cell_of(&self, table: &TextTable, column: usize, row: usize) -> (String, String) {
+        let index = self.columns[column].1.index();
+        index.map_or_else(Default::default, |k| (table.columns[k].clone(), table.rows[row].1[k].to_owned()))
+    }
+
+    /// Name in the foreign table of a column of the session.
+    pub(super) fn source_of(&self, table: &TextTable, name: &str) -> Option<String> {
+        let (_, source) = self.columns.iter().find(|(own, _)| own == name)?;
+        Some(table.columns[source.index()?].clone())
     }
 
     /// Columns of the foreign table that the session does not have, in their order.
     pub(super) fn left_out(&self, table: &TextTable) -> Vec<String> {
         let taken = |k: usize| {
             self.columns.iter().any(|(_, source)| match source {
-                Source::Column { index, .. } => *index == k,
+                Source::Column { index, .. } | Source::Stamps { index, .. } => *index == k,
                 Source::Position { commanded, error } => commanded.0 == k || error.0 == k,
                 Source::Order | Source::Calibration => false,
             })
@@ -102,6 +141,12 @@ impl Plan {
     /// Where a column is missing, or a mapping is malformed.
     pub(super) fn new(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Self> {
         let wanted = wanted(args, table)?;
+        for (name, column) in &wanted {
+            if !TEXT_COLUMNS.contains(&name.as_str()) {
+                let (column, _) = split_factor(column);
+                table.columns_named(column).first().map_or(Ok(()), |index| table.check_thousands(*index))?;
+            }
+        }
         let mut columns = Vec::new();
         for (name, fallback) in [("point", Source::Order), ("role", Source::Calibration)] {
             if !wanted.iter().any(|(n, _)| n == name) {
@@ -115,47 +160,104 @@ impl Plan {
             );
             columns.push(("stimulus".to_owned(), Source::Order));
         }
-        let place = wanted.iter().find(|(name, _)| name == "commanded_mm");
-        let place = place.map(|(_, column)| scaled(table, column)).transpose()?;
-        let mut repeated = Vec::new();
+        let mut plan = Self { columns, units: Default::default(), remarks: Vec::new(), warnings: Vec::new() };
+        let commanded = wanted.iter().find(|(name, _)| name == "commanded_mm");
+        let commanded = commanded.map(|(name, column)| plan.scaled(table, name, column)).transpose()?;
         for (name, column) in wanted {
-            let (index, factor) = scaled(table, &column)?;
+            let (index, factor) = plan.scaled(table, &name, &column)?;
             let count = table.columns_named(&table.columns[index]).len();
             if count > 1 {
                 let text = format!("{count} columns named {column} with the same cells; counted once");
-                repeated.push(format!("{}: {text}", table.file));
+                plan.warnings.push(format!("{}: {text}", table.file));
             }
             let unit_mm = error_unit_mm(&name).filter(|_| args.kind == Kind::Axis);
-            columns.push(match (unit_mm, place) {
-                (Some(unit_mm), Some((place, own))) => {
-                    let commanded = (place, own.unwrap_or(1.0));
-                    let error = (index, unit_mm * factor.unwrap_or(1.0));
+            let times = if name == "t_s" { table.stamps_s(index)? } else { None };
+            if let Some(row) = times.iter().flatten().position(Option::is_some) {
+                let first = &table.rows[row].1[index];
+                plan.remarks
+                    .push(format!("{}: {column} holds time stamps: seconds after {first}", table.file));
+            }
+            plan.columns.push(match (unit_mm, commanded, times) {
+                (Some(unit_mm), Some(commanded), _) => {
+                    let error = (index, unit_mm * factor);
                     ("measured_mm".to_owned(), Source::Position { commanded, error })
                 }
+                (.., Some(times)) => (name, Source::Stamps { index, times }),
                 _ => (name, Source::Column { index, factor }),
             });
         }
-        Ok(Self { columns, repeated })
+        let signals = [
+            ("--stimulus", &args.stimulus_unit, &args.stimulus),
+            ("--response", &args.response_unit, &args.response),
+        ];
+        let [stimulus, response] = signals.map(|(option, unit, column)| {
+            units::signal((option, unit.as_deref()), column.as_deref(), table, &mut plan.remarks)
+        });
+        plan.units = [stimulus?, response?];
+        // A commanded position is looked up twice.
+        plan.remarks.sort();
+        plan.remarks.dedup();
+        Ok(plan)
     }
+
+    /// A column of the foreign table and the factor that its cells are multiplied by: that of `COL*FACTOR`, else that of its unit to the
+    /// session's.
+    ///
+    /// # Errors
+    /// Where the table has no such column, or states two units of it.
+    fn scaled(&mut self, table: &TextTable, name: &str, text: &str) -> anyhow::Result<(usize, f64)> {
+        let split = text.rsplit_once('*').filter(|_| table.columns_named(text).is_empty());
+        let Some((column, factor)) = split else {
+            let index = table.column(text)?;
+            return Ok((index, units::factor(table, index, name, (&mut self.remarks, &mut self.warnings))?));
+        };
+        let value = factor.trim().parse::<f64>().ok().filter(|f| f.is_finite() && *f != 0.0);
+        let value = value.with_context(|| {
+            format!("{text}: expected COLUMN*FACTOR with a finite factor other than 0, found {factor:?}")
+        })?;
+        Ok((table.column(column.trim())?, value))
+    }
+}
+
+impl Source {
+    /// The column of the foreign table, where it is one.
+    fn index(&self) -> Option<usize> {
+        match self {
+            Self::Column { index, .. } | Self::Stamps { index, .. } => Some(*index),
+            Self::Position { error, .. } => Some(error.0),
+            Self::Order | Self::Calibration => None,
+        }
+    }
+}
+
+/// A cell of the session's table; empty where nothing stands there.
+fn cell(table: &TextTable, row: usize, (name, source): &(String, Source)) -> anyhow::Result<String> {
+    // `{}` prints the shortest text that reads back as the same number: nothing is lost.
+    let text = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
+    Ok(match source {
+        Source::Order => (row + 1).to_string(),
+        Source::Calibration => "calibration".to_owned(),
+        Source::Stamps { times, .. } => text(times[row]),
+        Source::Position { commanded, error } => {
+            let [commanded, error] = [commanded, error]
+                .map(|(index, factor)| table.number(row, *index).map(|v| Some(v? * factor)));
+            text(commanded?.zip(error?).map(|(commanded, error)| commanded + error))
+        }
+        Source::Column { index, .. } if TEXT_COLUMNS.contains(&name.as_str()) => {
+            let text = table.rows[row].1[*index].trim();
+            ensure!(!text.contains([',', '"', '\n']), "{}: role {text:?} is not a word", table.file);
+            text.to_owned()
+        }
+        Source::Column { index, factor } if name == "direction" => {
+            text(table.direction(row, *index)?.map(|v| v * factor))
+        }
+        Source::Column { index, factor } => text(table.number(row, *index)?.map(|v| v * factor)),
+    })
 }
 
 /// The option that takes a further column.
 pub(super) const WAY_IN: &str =
     "; --covariate COLUMN takes one, --covariate NAME=COLUMN under its name in the session";
-
-/// A column of the foreign table and the factor that its cells are multiplied by: `COL` or `COL*FACTOR`.
-///
-/// # Errors
-/// Where the table has no such column.
-fn scaled(table: &TextTable, text: &str) -> anyhow::Result<(usize, Option<f64>)> {
-    let split = text.rsplit_once('*').filter(|_| table.columns_named(text).is_empty());
-    let Some((name, factor)) = split else { return Ok((table.column(text)?, None)) };
-    let value = factor.trim().parse::<f64>().ok().filter(|f| f.is_finite() && *f != 0.0);
-    let value = value.with_context(|| {
-        format!("{text}: expected COLUMN*FACTOR with a finite factor other than 0, found {factor:?}")
-    })?;
-    Ok((table.column(name.trim())?, Some(value)))
-}
 
 /// Millimetres in the unit of a column of an axis' errors; none for another column.
 fn error_unit_mm(name: &str) -> Option<f64> {

@@ -1,6 +1,7 @@
 //! `session.toml` of an imported session.
 
 use super::arguments::{Declared, ImportArgs, Kind, name_of};
+use super::imported::Noticed;
 use crate::simulated::is_simulated;
 use anyhow::{Context, bail, ensure};
 use std::path::Path;
@@ -33,7 +34,12 @@ pub(super) fn header(args: &ImportArgs, kind: &str, files: &[(&str, &str)]) -> a
 }
 
 /// Text of `session.toml`, and further files that it names.
-pub(super) fn write(args: &ImportArgs, sources: &[&TextTable]) -> anyhow::Result<(String, Tables)> {
+pub(super) fn write(
+    args: &ImportArgs,
+    sources: &[&TextTable],
+    units: &[String; 2],
+    noticed: &Noticed,
+) -> anyhow::Result<(String, Tables)> {
     let mut more = Vec::new();
     let tables = [("points", "points.csv"), ("holdout", "holdout.csv")];
     let mut top = header(args, &name_of(args.kind), &tables[..sources.len()])?;
@@ -49,11 +55,14 @@ pub(super) fn write(args: &ImportArgs, sources: &[&TextTable]) -> anyhow::Result
         take_over(file, &mut top, &mut more)?;
     }
     if args.kind == Kind::Transducer {
-        top.insert("transducer".to_owned(), Value::Table(transducer(args)));
+        top.insert("transducer".to_owned(), Value::Table(transducer(args, units)));
     }
     // A table out of a simulated session stays simulated.
     let simulated = whisker.into_iter().chain([&args.file]).any(|path| is_simulated(path));
-    top.insert("provenance".to_owned(), Value::Table(provenance(sources, simulated)));
+    let mut provenance = provenance(sources, simulated);
+    let read: Vec<String> = noticed.remarks.iter().chain(&noticed.warnings).cloned().collect();
+    provenance.extend((!read.is_empty()).then(|| ("read".to_owned(), Value::from(read))));
+    top.insert("provenance".to_owned(), Value::Table(provenance));
     Ok((toml::to_string(&top)?, more))
 }
 
@@ -71,9 +80,9 @@ fn created() -> anyhow::Result<String> {
     Ok(stamp.strftime("%Y-%m-%dT%H:%M:%SZ").to_string())
 }
 
-fn transducer(args: &ImportArgs) -> Table {
+fn transducer(args: &ImportArgs, [stimulus_unit, response_unit]: &[String; 2]) -> Table {
     let counted = args.stimulus.is_none();
-    let stimulus_unit = if counted { "observation" } else { args.stimulus_unit.as_str() };
+    let stimulus_unit = if counted { "observation" } else { stimulus_unit.as_str() };
     let law = match args.model {
         Some(Declared::Law(law)) => law,
         _ => TransducerModel::Linear,
@@ -83,7 +92,7 @@ fn transducer(args: &ImportArgs) -> Table {
         TransducerModel::Linear => "linear",
         TransducerModel::Quadratic => "quadratic",
     };
-    [("stimulus_unit", stimulus_unit), ("response_unit", &args.response_unit), ("model", model)]
+    [("stimulus_unit", stimulus_unit), ("response_unit", response_unit), ("model", model)]
         .into_iter()
         .map(|(key, value)| (key.to_owned(), Value::from(value)))
         .collect()

@@ -1,7 +1,7 @@
 //! The folder of an imported session: what may be replaced in it, and what is said of it.
 
 use super::arguments::ImportArgs;
-use super::columns::WAY_IN;
+use super::columns::{Plan, WAY_IN};
 use crate::output::{OutputFolder, ResultKind, first_line};
 use crate::simulated::word;
 use schemars::JsonSchema;
@@ -66,6 +66,29 @@ pub(super) fn refuse_other_tables(
     out.refuse_other(&described(&names, &columns))
 }
 
+/// What was noticed while reading the tables.
+pub(super) struct Noticed {
+    pub(super) remarks: Vec<String>,
+    pub(super) warnings: Vec<String>,
+}
+
+impl Noticed {
+    pub(super) fn of<'a>(tables: &[&TextTable], plans: impl Iterator<Item = &'a Plan>) -> Self {
+        let of_file = |texts: fn(&TextTable) -> &[String]| -> Vec<String> {
+            let said = |t: &&TextTable| {
+                texts(t).iter().map(|text| format!("{}: {text}", t.file)).collect::<Vec<_>>()
+            };
+            tables.iter().flat_map(said).collect()
+        };
+        let (mut remarks, mut warnings) = (of_file(|t| &t.remarks), of_file(|t| &t.warnings));
+        for plan in plans {
+            remarks.extend_from_slice(&plan.remarks);
+            warnings.extend_from_slice(&plan.warnings);
+        }
+        Self { remarks, warnings }
+    }
+}
+
 /// Says what was imported, and what was odd about it; exit code 3 where the new session carries warnings.
 pub(super) fn say(
     args: &ImportArgs,
@@ -83,17 +106,38 @@ pub(super) fn say(
     for remark in sources.iter().filter_map(|table| table.warning()) {
         eprintln!("{remark}");
     }
+    for remark in &document.remarks {
+        eprintln!("{remark}");
+    }
     for (source, encoding) in sources.iter().filter_map(|s| Some((s, s.encoding?))) {
         eprintln!("{}: read as {encoding}", source.file);
     }
-    if !columns_left_out.is_empty() {
+    let (uncertain, others): (Vec<&str>, Vec<&str>) =
+        columns_left_out.iter().map(String::as_str).partition(|name| is_uncertainty(name));
+    if !others.is_empty() {
         let way_in = if kind == "sweep" { "" } else { WAY_IN };
-        eprintln!("columns not imported: {}{way_in}", columns_left_out.join(", "));
+        eprintln!("columns not imported: {}{way_in}", others.join(", "));
+    }
+    for name in uncertain {
+        eprintln!(
+            "column not imported: {name} looks like an uncertainty. It does not weigh the fit: the scatter of the readings does; \
+             what all readings share of it, as the reference's own error, comes on top of the stated uncertainties. As a covariate it would count as a cause"
+        );
     }
     for warning in warnings {
         eprintln!("warning: {warning}");
     }
     Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
+}
+
+/// Whether a column's name says that it holds uncertainties: `u_p_kpa`, `U(F)`, `sd`, `std_dev`, `Unsicherheit`.
+fn is_uncertainty(name: &str) -> bool {
+    let name = name.to_lowercase();
+    let word =
+        |w: &str| matches!(w, "u" | "sd" | "std" | "stdev" | "stddev" | "sigma" | "unc" | "stderr" | "se");
+    let parts = |c: char| !c.is_alphanumeric();
+    ["uncert", "unsicher", "std_dev", "standard deviation", "standardabw"].iter().any(|w| name.contains(w))
+        || name.split(parts).any(word)
 }
 
 /// A table that became a session.
@@ -117,7 +161,9 @@ pub struct ImportDocument<'a> {
     pub(super) holdout_rows: usize,
     /// Columns of the table that the session does not have.
     pub(super) columns_left_out: Vec<String>,
-    /// Remarks.
+    /// How the tables were read.
+    pub(super) remarks: Vec<String>,
+    /// What is odd about them.
     pub(super) warnings: Vec<String>,
     /// Files written; none of a sweep.
     pub(super) inputs: Vec<InputFile>,

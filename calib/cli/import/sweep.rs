@@ -2,7 +2,7 @@
 
 use super::arguments::{ImportArgs, layout};
 use super::description;
-use super::imported::{ImportDocument, OBJECT, RESULT, refuse_other_tables, say};
+use super::imported::{ImportDocument, Noticed, OBJECT, RESULT, refuse_other_tables, say};
 use crate::output::OutputFolder;
 use crate::simulated::is_simulated;
 use anyhow::{Context, bail, ensure};
@@ -112,11 +112,13 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     for (mesh, note) in object.iter().flat_map(|(mesh, read)| read.notes.iter().map(move |n| (mesh, n))) {
         eprintln!("{}: {note}", mesh.display());
     }
+    let Noticed { remarks, mut warnings } = Noticed::of(&sources, std::iter::empty());
     let rows = sweep.source.rows.len();
     let unknown = (sweep.without_pose > 0).then(|| {
         let missing = sweep.without_pose;
         format!("the motion of {missing} of {rows} readings is not known: the log does not cover their times")
     });
+    warnings.extend(unknown);
     let document = ImportDocument {
         format: "wcal-import/1",
         session: description::identifier(args)?,
@@ -126,7 +128,8 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
         rows,
         holdout_rows: 0,
         columns_left_out: sweep.left_out.clone(),
-        warnings: unknown.into_iter().collect(),
+        remarks,
+        warnings,
         inputs: Vec::new(),
     };
     say(args, &document, &sources)

@@ -64,6 +64,20 @@ impl InputError {
         self
     }
 
+    /// The same of the file that this one was made of, with the line and the name of the column there.
+    #[must_use]
+    pub fn of_source(
+        mut self,
+        file: &str,
+        line: impl Fn(usize) -> usize,
+        column: impl Fn(&str) -> Option<String>,
+    ) -> Self {
+        file.clone_into(&mut self.0.file);
+        self.0.line = self.0.line.map(line);
+        self.0.field = self.0.field.map(|name| column(&name).unwrap_or(name));
+        self
+    }
+
     /// Adds what to do about it.
     pub fn hint(mut self, hint: impl Into<String>) -> Self {
         self.0.hint = Some(brief(&hint.into()));

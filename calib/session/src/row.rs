@@ -146,7 +146,8 @@ pub(crate) fn clock_problem(
     let timed: Vec<(usize, f64)> = rows.filter_map(|(line, t_s)| Some((line, t_s?))).collect();
     let back: Vec<&[(usize, f64)]> = timed.windows(2).filter(|w| w[1].1 < w[0].1).collect();
     let first = back.first()?;
-    let (times, line, back_s) = (back.len(), first[1].0, first[0].1 - first[1].1);
-    let text = format!("t_s runs backwards {times} time(s), first at line {line} by {back_s:.3} s");
-    Some(SessionWarning::new(file, WarningKind::ClockProblem, text))
+    let (times, back_s) = (back.len(), first[0].1 - first[1].1);
+    let text = format!("t_s runs backwards {times} time(s), first by {back_s:.3} s");
+    let lines = back.iter().map(|w| w[1].0).collect();
+    Some(SessionWarning::new(file, WarningKind::ClockProblem, text).at(lines))
 }

@@ -4,11 +4,13 @@
 use crate::error::InputError;
 use crate::row::Row;
 use crate::table::TextTable;
-use crate::warning::{SessionWarning, WarningKind, named};
+use crate::warning::{SessionWarning, WarningKind};
 use std::collections::{HashMap, HashSet};
 
 /// No quantity of a calibration is this large: SCPI's 9.9e37 and 9.91e37, the largest float, 1e38 and their like.
 const HUGE: f64 = 1e30;
+/// A step between decades.
+const DECADE: f64 = 10.0;
 /// Fewer values beside a code say nothing of their column.
 const MIN_OTHERS: usize = 4;
 /// Rows of a block that repeats an earlier one: fewer agree by chance.
@@ -32,11 +34,8 @@ pub(crate) fn overflow(
         for code in codes(&values, by_hand) {
             let rows: Vec<usize> = (0..out.len()).filter(|&k| values[k] == Some(code)).collect();
             let shown = if code.abs() >= 1e12 { format!("{code:e}") } else { code.to_string() };
-            let says = format!(
-                "is an overflow value of the instrument; left out as missing: line(s) {}",
-                lines(table, &rows)
-            );
-            let text = format!("{name} {shown} in {} row(s) {says}", rows.len());
+            const SAYS: &str = "is an overflow value of the instrument; left out as missing";
+            let text = format!("{name} {shown} in {} row(s) {SAYS}", rows.len());
             warnings.push(left_out(table, &rows, text)?);
             rows.iter().for_each(|&k| out[k] = true);
             coded += rows.len();
@@ -64,10 +63,7 @@ pub(crate) fn copied(
     }
     again.iter().for_each(|&k| out[k] = true);
     let (count, of) = (again.len(), kept.len());
-    let text = format!(
-        "{count} of {of} rows are copies of others; counted once, left out: line(s) {}",
-        lines(table, &again)
-    );
+    let text = format!("{count} of {of} rows are copies of others; counted once, left out");
     left_out(table, &again, text).map(Some)
 }
 
@@ -76,35 +72,43 @@ fn column(table: &TextTable, name: &str) -> Result<Vec<Option<f64>>, InputError>
     Row::all(table).map(|row| row.number(name)).collect()
 }
 
-fn lines(table: &TextTable, rows: &[usize]) -> String {
-    named(&rows.iter().map(|&k| table.rows[k].0).collect::<Vec<_>>())
-}
-
 fn left_out(table: &TextTable, rows: &[usize], text: String) -> Result<SessionWarning, InputError> {
     let points = rows.iter().map(|&k| Row::new(table, k).point_or_order()).collect::<Result<_, _>>()?;
-    Ok(SessionWarning::new(&table.file, WarningKind::LeftOut(points), text))
+    let lines = rows.iter().map(|&k| table.rows[k].0).collect();
+    Ok(SessionWarning::new(&table.file, WarningKind::LeftOut(points), text).at(lines))
 }
 
-/// One of the numbers that instruments use as codes: huge, all nines, an end of a converter's range, or a power-up value.
+/// One of the numbers that instruments use as codes: huge, nines, an end of a converter's range, or a power-up value; a power of ten is
+/// [`round`].
 fn usual(value: f64) -> bool {
     let size = value.abs();
     let digits: Vec<char> = format!("{size}").chars().filter(char::is_ascii_digit).collect();
-    let nines = digits.len() >= 3 && digits.iter().all(|d| *d == '9');
+    // Campbell's loggers have another digit before them: 7999, -6999.
+    let nines = digits.len() >= 3 && digits.iter().skip(usize::from(digits.len() > 3)).all(|d| *d == '9');
     // Ends of 7 to 32 bits: 127, 128, 255, ..., 32767, 8388607, 4294967295.
     let end = (7..=32).any(|bits| [2f64.powi(bits), 2f64.powi(bits) - 1.0].contains(&size));
     // DS18B20 after power-up reads 85; absolute zero is no reading.
     size >= HUGE || nines || end || value == 85.0 || value == -273.15
 }
 
-/// The codes of a column: usual ones that lie further from its other values than these from each other, in half of the rows at most. What a
-/// person `set` is a code only where it is no quantity.
+/// A power of ten from 1e3 on, as -1000000 of measuring amplifiers. Series in decades have them as readings.
+fn round(value: f64) -> bool {
+    let power = value.abs().log10();
+    power > 2.5 && 10f64.powi(power.round() as i32) == value.abs()
+}
+
+/// The codes of a column: usual ones that lie further from its other values than these from each other (round ones, ten times as far), in half of
+/// the rows at most. What a person `set` is a code only where it is no quantity.
 fn codes(values: &[Option<f64>], set: bool) -> Vec<f64> {
-    let others: Vec<f64> = values.iter().flatten().copied().filter(|v| !usual(*v)).collect();
+    let known = |v: f64| usual(v) || round(v);
+    let others: Vec<f64> = values.iter().flatten().copied().filter(|v| !known(*v)).collect();
     let [low, high] =
         others.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(*v), b.max(*v)]);
-    let far = |code: f64| others.len() >= MIN_OTHERS && (low - code).max(code - high) > high - low;
+    let share = |code: f64| if usual(code) { 1.0 } else { DECADE };
+    let far =
+        |code: f64| others.len() >= MIN_OTHERS && (low - code).max(code - high) > share(code) * (high - low);
     let few = |code: f64| 2 * values.iter().filter(|v| **v == Some(code)).count() <= values.len();
-    let is_code = |code: &f64| code.abs() >= HUGE || (!set && usual(*code) && far(*code) && few(*code));
+    let is_code = |code: &f64| code.abs() >= HUGE || (!set && known(*code) && far(*code) && few(*code));
     let mut found: Vec<f64> = values.iter().flatten().copied().filter(is_code).collect();
     found.sort_by(f64::total_cmp);
     found.dedup();
@@ -231,13 +235,16 @@ mod tests {
     fn codes_are_told_from_readings_by_their_column() {
         let codes = |values: &[f64], set| codes(&values.iter().map(|v| Some(*v)).collect::<Vec<_>>(), set);
         let volts = [0.1, 0.2, 0.3, 0.4, 0.5];
-        for code in [9.9e37, -9.9e37, 1e38, 3.4028234e38, 999_999.0, 9999.0, -127.0, 32767.0, 8_388_607.0] {
+        for code in
+            [9.9e37, -9.9e37, 1e38, 3.4028234e38, 999_999.0, 9999.0, -127.0, 32767.0, -1e6, 1e10, -6999.0]
+        {
             let with: Vec<f64> = volts.iter().copied().chain([code]).collect();
             assert_eq!(codes(&with, false), [code]);
         }
         // In range, or no further out than the others are wide: a reading.
         assert!(codes(&[-180.0, -127.0, -60.0, 20.0, 50.0], false).is_empty());
         assert!(codes(&[2e5, 4e5, 6e5, 8e5, 999_999.0, 1.2e6], false).is_empty());
+        assert!(codes(&[10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0], false).is_empty());
         // An unusual number, however far out, is a matter of the noise.
         assert!(codes(&[0.1, 0.2, 0.3, 0.4, 5000.0], false).is_empty());
         // Loads in powers of two are set so; a huge number is none whatever stands beside it.

@@ -1,8 +1,12 @@
 //! Tables of text: a session's own, with commas between fields and a dot before decimals, and those of other programs after some header
 //! lines. Every cell is known by file, line and column.
 
+use crate::cell::{Content, content, direction, grouped, is_missing, plain};
 use crate::columns::column_range;
 use crate::error::{InputError, SessionError, listed, not_utf8, quote};
+use crate::form::{Form, Place, Preamble, name_of};
+use crate::separated::{Separator, other_separator, records};
+use crate::stamp;
 use crate::units::split_unit;
 use crate::warning::{SessionWarning, WarningKind};
 use csv::StringRecord;
@@ -15,8 +19,8 @@ use wcal_core::{InputFile, Purpose};
 /// Longest line, bytes, and most columns: what has more was never written as a table.
 const MAX_LINE: usize = 1 << 22;
 const MAX_COLUMNS: usize = 1000;
-/// Lines that are looked at to tell another separator.
-const LOOK: usize = 20;
+/// Share of the letters that a name has in common with the one that was meant.
+const ALIKE: f64 = 0.6;
 /// Names of a scalar table's column that groups its readings, the first that there is: counters of repetitions are no quantities that act,
 /// whichever of them groups.
 const GROUPS: [&str; 5] = ["cycle", "replicate", "run", "pose", "day"];
@@ -26,40 +30,6 @@ const COUNTERS: usize = 2;
 /// Marks the rows of simulated data; a mark is no covariate.
 pub const SIMULATED_COLUMN: &str = "simulated";
 
-/// What stands between fields.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Separator {
-    /// A comma, with quotes as in RFC 4180.
-    #[default]
-    Comma,
-    /// A semicolon.
-    Semicolon,
-    /// A tab.
-    Tab,
-    /// Any run of blanks, as in the NIST files.
-    Whitespace,
-}
-
-impl Separator {
-    /// Each with its character, and its name in a sentence and on the command line.
-    const ALL: [(Self, char, &'static str, &'static str); 3] = [
-        (Self::Comma, ',', "commas", "comma"),
-        (Self::Semicolon, ';', "semicolons", "semicolon"),
-        (Self::Tab, '\t', "tabs", "tab"),
-    ];
-}
-
-impl std::str::FromStr for Separator {
-    type Err = String;
-
-    /// By its name on the command line.
-    fn from_str(name: &str) -> Result<Self, String> {
-        let listed = Self::ALL.iter().find(|s| s.3 == name).map(|s| s.0);
-        let found = listed.or((name == "whitespace").then_some(Self::Whitespace));
-        found.ok_or_else(|| format!("expected comma, semicolon, tab or whitespace, found {name:?}"))
-    }
-}
-
 /// How a foreign table is laid out.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct TextTableLayout {
@@ -67,10 +37,13 @@ pub struct TextTableLayout {
     pub skip_lines: usize,
     /// Names of the columns where the table has no header line of its own.
     pub columns: Option<Vec<String>>,
-    /// Separator.
-    pub separator: Separator,
+    /// Separator; none leaves it to what the file says of itself, else a comma.
+    pub separator: Option<Separator>,
     /// Decimals are written with a comma.
     pub decimal_comma: bool,
+    /// Columns that are wanted: the table is looked for by them, and cells are read in the forms of other programs. Without it the table begins at
+    /// the first line and holds nothing but plain numbers.
+    pub asked: Option<Vec<String>>,
 }
 
 /// A table in memory; cells are text without blanks around it.
@@ -86,6 +59,14 @@ pub struct TextTable {
     pub rows: Vec<(usize, StringRecord)>,
     /// Its encoding, where that is not UTF-8.
     pub encoding: Option<&'static str>,
+    /// Unit of each column as the table states it in a line of its own; empty where it does not.
+    pub units: Vec<String>,
+    /// Lines that are no rows and were passed over.
+    pub remarks: Vec<String>,
+    /// Breaks of the record, and lines passed over that may have been rows.
+    pub warnings: Vec<String>,
+    /// Cells may have the forms of other programs.
+    foreign: bool,
     /// Numbers that each column may have.
     ranges: Vec<Range>,
     /// The file ends within its last row.
@@ -139,95 +120,73 @@ pub(crate) fn read_own(path: &Path, name: &str) -> Result<TextTable, SessionErro
 }
 
 fn parse(file: &str, text: &str, layout: &TextTableLayout) -> Result<TextTable, InputError> {
-    let skip_lines = layout.skip_lines;
-    let start = text.split_inclusive('\n').take(skip_lines).map(str::len).sum::<usize>();
+    let skipped = layout.skip_lines;
+    let foreign = layout.asked.is_some();
+    let preamble = if foreign { Preamble::read(text) } else { Preamble::default() };
+    let start = text.split_inclusive('\n').take(skipped).map(str::len).sum::<usize>();
     let text = &text[start..];
     let error = |expected: String, found: String| InputError::new(file, expected, found);
     if let Some((k, line)) = text.lines().enumerate().find(|(_, line)| line.len() > MAX_LINE) {
         let expected = format!("at most {MAX_LINE} bytes in a line");
-        return Err(error(expected, line.len().to_string()).at(skip_lines + k + 1));
+        return Err(error(expected, line.len().to_string()).at(skipped + k + 1));
     }
-    let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-    let mut lines = lines.map(|(k, line)| (skip_lines + k + 1, split(line, layout.separator)));
-    let columns = match &layout.columns {
-        Some(names) => names.clone(),
-        None => {
-            let header = lines.next();
-            let header =
-                header.ok_or_else(|| error("a header line and rows".into(), "an empty file".into()))?;
-            header.1.iter().map(str::to_owned).collect()
-        }
+    let separator = layout.separator.or(preamble.separator).unwrap_or_default();
+    let (stated, asked) = (layout.columns.as_deref(), layout.asked.as_deref());
+    let form = match asked {
+        Some(asked) => Form::find(&Place { file, text, skipped, separator, stated, asked }, &preamble)?,
+        None => plain_form(file, records(text, skipped + 1, separator), stated)?,
     };
+    let Form { columns, units, mut rows, remarks, warnings } = form;
     if columns.len() > MAX_COLUMNS {
         return Err(error(format!("at most {MAX_COLUMNS} columns"), columns.len().to_string()));
     }
-    let hint = other_separator(text, layout.separator);
-    let mut rows = Vec::new();
-    for (line, cells) in lines {
+    let hint = other_separator(text, separator);
+    for (line, cells) in &mut rows {
+        // Some programs end each row with a separator.
+        if foreign && cells.iter().skip(columns.len()).all(str::is_empty) {
+            cells.truncate(columns.len());
+        }
         if cells.len() != columns.len() {
             let expected = format!("{} fields ({})", columns.len(), listed(&columns));
             let usual = "is the file truncated? decimals are written with a dot; for another table see --separator, --skip-lines and --columns of wcal import";
-            let error = error(expected, format!("{} fields", cells.len())).at(line);
+            let error = error(expected, format!("{} fields", cells.len())).at(*line);
             return Err(error.hint(hint.as_deref().unwrap_or(usual)));
         }
-        rows.push((line, cells));
     }
     if rows.is_empty() {
         return Err(error("at least one row below the header".into(), "an empty table".into()));
     }
-    let ranges = columns.iter().map(|column| column_range(column)).collect();
-    let (open_end, decimal_comma) = (!text.ends_with('\n'), layout.decimal_comma);
-    let (file, sha256) = (file.to_owned(), String::new());
-    Ok(TextTable { file, sha256, columns, rows, encoding: None, ranges, open_end, decimal_comma, hint })
+    Ok(TextTable {
+        file: file.to_owned(),
+        sha256: String::new(),
+        ranges: columns.iter().map(|column| column_range(column)).collect(),
+        columns,
+        rows,
+        encoding: None,
+        units,
+        remarks,
+        warnings,
+        foreign,
+        open_end: !text.ends_with('\n'),
+        decimal_comma: layout.decimal_comma || preamble.decimal_comma,
+        hint,
+    })
 }
 
-/// Cells of a line; quotes as in RFC 4180, within the line.
-fn split(line: &str, separator: Separator) -> StringRecord {
-    let Some((_, mark, ..)) = Separator::ALL.iter().find(|s| s.0 == separator) else {
-        return line.split_whitespace().collect();
+/// A table that begins with its header, and nothing else.
+fn plain_form(
+    file: &str,
+    mut rows: Vec<(usize, StringRecord)>,
+    stated: Option<&[String]>,
+) -> Result<Form, InputError> {
+    let columns = match stated {
+        Some(names) => names.to_vec(),
+        None if rows.is_empty() => {
+            return Err(InputError::new(file, "a header line and rows", "an empty file"));
+        }
+        None => rows.remove(0).1.iter().map(str::to_owned).collect(),
     };
-    if !line.contains('"') {
-        return line.split(*mark).map(str::trim).collect();
-    }
-    let mut reader = csv::ReaderBuilder::new();
-    reader.has_headers(false).delimiter(*mark as u8).trim(csv::Trim::All);
-    // Reading from memory cannot fail; an open quote ends with the line and shows as a wrong number of fields.
-    reader.from_reader(line.as_bytes()).records().next().and_then(Result::ok).unwrap_or_default()
-}
-
-/// Another separator than the stated one, which stands equally often in every line while the stated one stands in none; in words.
-fn other_separator(text: &str, stated: Separator) -> Option<String> {
-    let lines = || text.lines().filter(|line| !line.trim().is_empty()).take(LOOK);
-    let counts = |mark: char| lines().map(move |line| line.matches(mark).count());
-    let (_, own, not, _) = Separator::ALL.iter().find(|s| s.0 == stated)?;
-    let (_, mark, called, option) =
-        *Separator::ALL.iter().filter(|s| s.0 != stated).find(|(_, mark, ..)| {
-            let first = counts(*mark).next().unwrap_or(0);
-            first > 0 && counts(*mark).all(|n| n == first)
-        })?;
-    // Decimal commas stand in the rows and not in the header.
-    let decimals = lines().skip(1).any(|line| line.split(mark).any(is_decimal_comma));
-    if counts(*own).next() != Some(0) || (counts(*own).any(|n| n > 0) && !decimals) {
-        return None;
-    }
-    let decimals = if decimals && *own == ',' { " --decimal-comma" } else { "" };
-    Some(format!(
-        "fields are separated by {called}, not {not}; wcal import reads them with --separator {option}{decimals}"
-    ))
-}
-
-/// `1,5` and `-0,25`.
-fn is_decimal_comma(cell: &str) -> bool {
-    let cell = cell.trim();
-    cell.matches(',').count() == 1 && cell.replace(',', ".").parse::<f64>().is_ok()
-}
-
-/// Digits in groups of three with dots between them, as 1.000 or 12.500.000.
-fn grouped(text: &str) -> bool {
-    let mut groups = text.split('.');
-    let digits = |g: &str| g.chars().all(|c| c.is_ascii_digit());
-    let first = groups.next().is_some_and(|g| (1..=3).contains(&g.len()) && digits(g) && !g.starts_with('0'));
-    first && text.contains('.') && groups.all(|g| g.len() == 3 && digits(g))
+    Ok(Form { columns, rows, ..Form::default() })
 }
 
 impl TextTable {
@@ -304,15 +263,60 @@ impl TextTable {
     fn no_column(&self, name: &str) -> InputError {
         let found = format!("the columns {}", listed(&self.columns));
         let error = InputError::new(&self.file, format!("a column {name}"), found).field(name);
-        match &self.hint {
-            Some(hint) => error.hint(hint),
-            None => error,
+        let alike = |c: &&String| strsim::normalized_levenshtein(&c.to_lowercase(), &name.to_lowercase());
+        let nearest = self.columns.iter().max_by(|a, b| alike(a).total_cmp(&alike(b)));
+        match (&self.hint, nearest.filter(|c| alike(c) >= ALIKE)) {
+            (Some(hint), _) => error.hint(hint),
+            (None, Some(column)) => error.hint(format!("did you mean {column}?")),
+            (None, None) if self.columns.iter().all(|c| content(c) == Content::Value) => {
+                error.hint("no header? --columns names the columns")
+            }
+            (None, None) => error,
         }
     }
 
     /// Indices of the columns of one name.
     pub fn columns_named(&self, name: &str) -> Vec<usize> {
+        let name = if self.foreign { name_of(name) } else { name.to_owned() };
         (0..self.columns.len()).filter(|&k| self.columns[k] == name).collect()
+    }
+
+    /// Lines in which a column has a word for a missing value, or nothing.
+    pub fn missing(&self, column: usize) -> Vec<usize> {
+        let without = |cell: &str| cell.is_empty() || is_missing(cell);
+        self.rows.iter().filter(|(_, cells)| without(&cells[column])).map(|(line, _)| *line).collect()
+    }
+
+    /// Times of a column of time stamps in seconds after its first, empty cells left out; none where it holds numbers.
+    ///
+    /// # Errors
+    /// Where a cell is no time stamp beside others that are, or day and month could be exchanged.
+    pub fn stamps_s(&self, column: usize) -> Result<Option<Vec<Option<f64>>>, InputError> {
+        let all = self.rows.iter().enumerate().map(|(row, (_, cells))| (row, &cells[column]));
+        let held: Vec<(usize, &str)> =
+            all.filter(|(_, cell)| !cell.is_empty() && !is_missing(cell)).collect();
+        if !self.foreign || !held.iter().any(|(_, cell)| stamp::is_stamp(cell)) {
+            return Ok(None);
+        }
+        let cells: Vec<&str> = held.iter().map(|(_, cell)| *cell).collect();
+        let seconds = stamp::seconds(&cells).map_err(|(k, expected)| {
+            let (line, _) = self.rows[held[k].0];
+            InputError::new(&self.file, expected, quote(cells[k])).at(line).field(&self.columns[column])
+        })?;
+        let mut times = vec![None; self.rows.len()];
+        held.iter().zip(seconds).for_each(|((row, _), time)| times[*row] = Some(time));
+        Ok(Some(times))
+    }
+
+    /// +1 or -1 of a cell of a direction, by its sign, number or word.
+    ///
+    /// # Errors
+    /// Where it holds anything else.
+    pub fn direction(&self, row: usize, column: usize) -> Result<Option<f64>, InputError> {
+        match direction(&self.rows[row].1[column]).filter(|_| self.foreign) {
+            Some(sign) => Ok(Some(sign)),
+            None => self.number(row, column),
+        }
     }
 
     /// A column in which a dot stands between thousands beside plain numbers: nobody writes 1.500 beside 500 for one and a half.
@@ -323,9 +327,9 @@ impl TextTable {
         let cells = || self.rows.iter().map(|(line, c)| (*line, c[column].trim_start_matches(['-', '+'])));
         let plain = |c: &str| c.len() >= 3 && c.chars().all(|d| d.is_ascii_digit());
         let dotted = || cells().filter(|(_, c)| c.contains('.'));
-        let suspect = dotted().find(|(_, c)| grouped(c) && c.ends_with('0'));
+        let suspect = dotted().find(|(_, c)| grouped(c, &['.']) && c.ends_with('0'));
         let Some((line, cell)) = suspect.filter(|_| !self.decimal_comma) else { return Ok(()) };
-        if !dotted().all(|(_, c)| grouped(c)) || !cells().any(|(_, c)| plain(c)) {
+        if !dotted().all(|(_, c)| grouped(c, &['.'])) || !cells().any(|(_, c)| plain(c)) {
             return Ok(());
         }
         let found = format!("{cell} beside whole numbers");
@@ -341,16 +345,17 @@ impl TextTable {
     pub fn number(&self, row: usize, column: usize) -> Result<Option<f64>, InputError> {
         let (line, cells) = &self.rows[row];
         let (cell, name) = (&cells[column], &self.columns[column]);
-        if cell.is_empty() {
+        if cell.is_empty() || self.foreign && is_missing(cell) {
             return Ok(None);
         }
         let error = |expected: &str| InputError::new(&self.file, expected, quote(cell)).at(*line).field(name);
+        let cell = if self.foreign { plain(cell) } else { cell.into() };
         let parsed = if self.decimal_comma {
             // Where a comma stands before decimals a dot stands between thousands, or the table is of another kind.
             let unsigned = cell.trim_start_matches(['-', '+']);
             let whole = unsigned.split_once(',').map_or(unsigned, |(whole, _)| whole);
             let commas = || self.rows.iter().any(|(_, cells)| cells.iter().any(|c| c.contains(',')));
-            if cell.contains('.') && (!grouped(whole) || !commas()) {
+            if cell.contains('.') && (!grouped(whole, &['.']) || !commas()) {
                 let hint = "leave --decimal-comma out where decimals have a dot; with it a dot stands between thousands";
                 return Err(error("decimals with a comma").hint(hint));
             }
@@ -364,6 +369,10 @@ impl TextTable {
                 Err(e) => Err(InputError::range(&self.file, e).at(*line)),
             },
             Ok(_) => Err(error("a finite number")),
+            Err(_) if grouped(cell.split('.').next().unwrap_or_default(), &[',']) => {
+                Err(error("a number")
+                    .hint("a thousands separator, or decimals with a comma (--decimal-comma)?"))
+            }
             Err(_) => Err(error("a number")),
         }
     }

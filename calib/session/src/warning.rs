@@ -12,6 +12,8 @@ pub struct SessionWarning {
     pub kind: WarningKind,
     /// What is odd, in words.
     pub(crate) text: String,
+    /// Lines of the file where it is so.
+    pub(crate) lines: Vec<usize>,
 }
 
 /// What a program asks of a warning; for people all are sentences.
@@ -37,7 +39,21 @@ pub enum WarningKind {
 
 impl SessionWarning {
     pub(crate) fn new(file: &str, kind: WarningKind, text: impl Into<String>) -> Self {
-        Self { file: file.to_owned(), kind, text: text.into() }
+        Self { file: file.to_owned(), kind, text: text.into(), lines: Vec::new() }
+    }
+
+    /// Adds the lines of the file where it is so.
+    pub(crate) fn at(mut self, lines: Vec<usize>) -> Self {
+        self.lines = lines;
+        self
+    }
+
+    /// The same of the file that this one was made of, whose line each line comes from.
+    #[must_use]
+    pub fn of_source(mut self, file: &str, line: impl Fn(usize) -> usize) -> Self {
+        file.clone_into(&mut self.file);
+        self.lines.iter_mut().for_each(|l| *l = line(*l));
+        self
     }
 
     /// One that is only said.
@@ -76,12 +92,16 @@ impl Serialize for SessionWarning {
 impl fmt::Display for SessionWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let head = if self.is_clock_problem() { "clock_problem: " } else { "" };
-        write!(f, "{head}{}: {}", self.file, self.text)
+        write!(f, "{head}{}: {}", self.file, self.text)?;
+        match &self.lines[..] {
+            [] => Ok(()),
+            lines => write!(f, ": line(s) {}", named(lines)),
+        }
     }
 }
 
 /// Points or lines by number; many are counted.
-pub(crate) fn named(points: &[impl ToString]) -> String {
+pub fn named(points: &[impl ToString]) -> String {
     /// More points are counted, not named.
     const MAX_NAMED: usize = 20;
     let mut named: Vec<String> = points.iter().take(MAX_NAMED).map(ToString::to_string).collect();

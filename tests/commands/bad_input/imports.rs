@@ -47,7 +47,7 @@ const IMPORTS: &[BadImport] = &[
         table: b"x,y\n1,\n",
         arguments: LINEAR,
         code: 1,
-        says: &["response", "nothing"],
+        says: &["line 2", "field y", "in most rows"],
     },
     BadImport {
         name: "truncated",

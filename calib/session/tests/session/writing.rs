@@ -36,7 +36,7 @@ fn foreign_tables_are_read_by_their_layout() {
     let blanks = TextTableLayout {
         skip_lines: 2,
         columns: Some(vec!["y".into(), "x".into()]),
-        separator: Separator::Whitespace,
+        separator: Some(Separator::Whitespace),
         ..TextTableLayout::default()
     };
     let table = read_text_table(&path, &blanks).unwrap();
@@ -46,7 +46,7 @@ fn foreign_tables_are_read_by_their_layout() {
 
     fs::write(&path, "a;b\n1,5;2\n3;x\n").unwrap();
     let layout =
-        TextTableLayout { separator: Separator::Semicolon, decimal_comma: true, ..Default::default() };
+        TextTableLayout { separator: Some(Separator::Semicolon), decimal_comma: true, ..Default::default() };
     let table = read_text_table(&path, &layout).unwrap();
     assert_eq!(table.number(0, 0).unwrap(), Some(1.5));
     let error = table.number(1, 1).unwrap_err().to_string();

@@ -14,7 +14,7 @@ fn nist(file: &str, columns: &[&str], model: TransducerModel) -> TransducerData 
     let layout = TextTableLayout {
         skip_lines: 25,
         columns: Some(columns.iter().map(|c| (*c).to_owned()).collect()),
-        separator: Separator::Whitespace,
+        separator: Some(Separator::Whitespace),
         ..TextTableLayout::default()
     };
     let table = read_text_table(&path, &layout).unwrap();

@@ -1,0 +1,147 @@
+//! Units of the foreign table: those that stand in its names and below its header become the session's.
+
+use super::arguments::split_factor;
+use anyhow::bail;
+use wcal_session::{Relation, TextTable, bracketed, relation, unit_in_name};
+
+/// Columns of a session whose unit is fixed, and the options that take them.
+const FIXED: [(&str, &str, &str); 4] = [
+    ("t_s", "s", "--time"),
+    ("commanded_mm", "mm", "--commanded"),
+    ("measured_mm", "mm", "--measured"),
+    ("temperature_degc", "degC", "--temperature"),
+];
+
+/// What was noticed of a table: remarks, and what is odd.
+pub(super) type Noticed<'a> = (&'a mut Vec<String>, &'a mut Vec<String>);
+
+/// Factor from the unit that the table states of a column, in its name or below the header, to that of the session's column; 1 where it states
+/// none.
+///
+/// # Errors
+/// Where it states two, or one that measures something else.
+pub(super) fn factor(
+    table: &TextTable,
+    index: usize,
+    name: &str,
+    (remarks, warnings): Noticed<'_>,
+) -> anyhow::Result<f64> {
+    let Some((_, to, option)) = FIXED.iter().find(|(fixed, ..)| *fixed == name) else { return Ok(1.0) };
+    let (file, column, below) = (&table.file, &table.columns[index], below(table, index));
+    let mut found: Option<(&str, f64)> = None;
+    let stated = unit_in_name(column, to).into_iter().chain(bracketed(column)).chain(below);
+    for unit in stated {
+        match (relation(unit, to), found) {
+            (Relation::Times(factor), None) => found = Some((unit, factor)),
+            (Relation::Times(factor), Some((other, same))) if factor != same => {
+                bail!(
+                    "{file}, field {column}: expected one unit, found {other} in its name and {unit} below it"
+                )
+            }
+            (Relation::Other, _) => {
+                bail!(
+                    "{file}, field {column}: expected {to}, found {unit} ({option} '{column}*FACTOR' takes another unit)"
+                )
+            }
+            _ => {}
+        }
+    }
+    match found {
+        Some((unit, factor)) if factor != 1.0 => {
+            remarks.push(format!("{file}: {column} is in {unit}; times {factor} it is in {to}"));
+            Ok(factor)
+        }
+        None if name == "t_s" => question(table, index, (remarks, warnings)).map(|()| 1.0),
+        _ => Ok(1.0),
+    }
+}
+
+/// What a table says of a column's unit below its header.
+fn below(table: &TextTable, index: usize) -> Option<&str> {
+    table.units.get(index).map(String::as_str).filter(|unit| !unit.is_empty())
+}
+
+/// Times without a unit are taken as seconds, which is said; where they hardly are seconds, it is asked.
+///
+/// # Errors
+/// Where they can be none.
+fn question(table: &TextTable, index: usize, (remarks, warnings): Noticed<'_>) -> anyhow::Result<()> {
+    /// Numbers of days since 1900 in spreadsheets: the years 1954 to 2119.
+    const DAYS: std::ops::Range<f64> = 2e4..8e4;
+    /// Seconds since 1970 stay below it for three thousand years.
+    const MOST: f64 = 1e11;
+    /// Seconds between readings that are long, and of a record that is.
+    const LONG_S: [f64; 2] = [1e3, 86_400.0];
+    let (file, column) = (&table.file, &table.columns[index]);
+    // Time stamps have units of their own.
+    let times: Vec<f64> = (0..table.rows.len()).filter_map(|row| table.number(row, index).ok()?).collect();
+    let mut steps: Vec<f64> = times.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|s| *s > 0.0).collect();
+    steps.sort_by(f64::total_cmp);
+    let (Some(step), Some(first)) = (steps.get(steps.len() / 2), times.first()) else { return Ok(()) };
+    let [low, high] = times.iter().fold([*first; 2], |[a, b], t| [a.min(*t), b.max(*t)]);
+    let way = |factor: &str| format!("--time '{column}*{factor}'");
+    if high > MOST {
+        let power = if high < 1e14 {
+            "0.001"
+        } else if high < 1e17 {
+            "1e-6"
+        } else {
+            "1e-9"
+        };
+        bail!(
+            "{file}, field {column}: expected seconds, found {high} (parts of a second since 1970? {})",
+            way(power)
+        );
+    }
+    let whole = |unit: f64| times.iter().all(|t| (t - first) % unit == 0.0);
+    let asked = if DAYS.contains(&low) && DAYS.contains(&high) && *step < 1e-2 {
+        Some(format!("days? {}", way("86400")))
+    } else if *step < 1e-3 {
+        Some(format!("days ({}), hours ({})?", way("86400"), way("3600")))
+    } else if *step >= LONG_S[0] && !whole(900.0) && whole(1.0) && (high - low > LONG_S[1] || whole(100.0)) {
+        Some(format!("milliseconds? {}", way("0.001")))
+    } else {
+        None
+    };
+    let taken = format!("{file}: {column} names no unit, taken as seconds: readings {step:.3e} s apart");
+    match asked {
+        Some(asked) => warnings.push(format!("{taken}; {asked}")),
+        None => remarks.push(taken),
+    }
+    Ok(())
+}
+
+/// Unit of the stimulus or the response: as stated, else as the table has it, else 1.
+///
+/// # Errors
+/// Where the table has another one than is stated.
+pub(super) fn signal(
+    (option, stated): (&str, Option<&str>),
+    column: Option<&str>,
+    table: &TextTable,
+    remarks: &mut Vec<String>,
+) -> anyhow::Result<String> {
+    let taken = stated.unwrap_or("1").to_owned();
+    let Some((name, None)) = column.map(split_factor) else { return Ok(taken) };
+    let index = table.column(name)?;
+    let (file, name) = (&table.file, &table.columns[index]);
+    let known = |unit: &&str| relation(unit, "s") != Relation::Unknown;
+    let Some(found) = below(table, index).or_else(|| bracketed(name).filter(known)) else { return Ok(taken) };
+    let Some(stated) = stated else {
+        remarks.push(format!("{file}: {name} is in {found}, as the table says"));
+        return Ok(found.to_owned());
+    };
+    let error =
+        |way: String| bail!("{file}, field {name}: expected {stated} ({option}-unit), found {found} {way}");
+    match relation(found, stated) {
+        Relation::Times(factor) if (factor - 1.0).abs() > 1e-9 => {
+            error(format!("({option} '{name}*{factor}' converts it)"))
+        }
+        Relation::Other => error("in the table (another column, or another unit?)".to_owned()),
+        Relation::Unknown if found != stated => {
+            remarks.push(format!("{file}: {name} is in {found} by the table, taken as {stated}"));
+            Ok(taken)
+        }
+        _ => Ok(taken),
+    }
+}

@@ -1,0 +1,287 @@
+//! The form of a table of another program: where its header and its rows are, and which lines are neither.
+
+use crate::cell::{Content, content};
+use crate::error::{InputError, listed, quote};
+use crate::quantity::written;
+use crate::separated::{Separator, records};
+use crate::warning::named;
+use csv::StringRecord;
+
+/// Lines among which the header is looked for.
+const LOOK: usize = 2000;
+/// First line of a LabVIEW measurement file (.lvm), and the line that ends each of its headers.
+const LVM: [&str; 2] = ["LabVIEW Measurement", "***End_of_Header***"];
+
+type Record = (usize, StringRecord);
+
+/// What a file says of its own form before its table.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Preamble {
+    pub(crate) separator: Option<Separator>,
+    pub(crate) decimal_comma: bool,
+    /// Units by column, and the first time and the step where the rows have none (.lvm).
+    units: Vec<String>,
+    times: Option<[f64; 2]>,
+    remark: Option<String>,
+}
+
+/// Where a table is looked for.
+pub(crate) struct Place<'a> {
+    pub(crate) file: &'a str,
+    /// The text after `skipped` lines.
+    pub(crate) text: &'a str,
+    pub(crate) skipped: usize,
+    pub(crate) separator: Separator,
+    /// Names of the columns, where it has no header.
+    pub(crate) stated: Option<&'a [String]>,
+    /// Columns that are wanted of it.
+    pub(crate) asked: &'a [String],
+}
+
+impl Preamble {
+    /// Reads `sep=;` (Excel) and the headers of a LabVIEW measurement file.
+    pub(crate) fn read(text: &str) -> Self {
+        let first = text.lines().next().unwrap_or_default().trim();
+        if let Some(mark) = first.strip_prefix("sep=").and_then(|rest| rest.chars().next()) {
+            let remark = Some(format!("fields are separated by {mark:?}, as line 1 says"));
+            return Self { separator: Separator::of(mark), remark, ..Self::default() };
+        }
+        let Some(mark) = first.strip_prefix(LVM[0]).map(|rest| rest.chars().next().unwrap_or('\t')) else {
+            return Self::default();
+        };
+        let header = || text.lines().take(LOOK).take_while(|line| !line.starts_with("X_Value"));
+        let values = |key: &str| -> Vec<String> {
+            let line = header().filter(|line| line.split(mark).next() == Some(key)).last();
+            line.into_iter().flat_map(|l| l.split(mark).skip(1)).map(|v| v.trim().to_owned()).collect()
+        };
+        let number = |key: &str| values(key).first().and_then(|v| v.replace(',', ".").parse::<f64>().ok());
+        let mut units = values("Y_Unit_Label");
+        units.insert(0, "s".to_owned());
+        Self {
+            separator: Separator::of(mark),
+            decimal_comma: values("Decimal_Separator").first().is_some_and(|v| v == ","),
+            units,
+            times: number("X0").zip(number("Delta_X")).map(|(start, step)| [start, step]),
+            remark: Some("a LabVIEW measurement file".to_owned()),
+        }
+    }
+}
+
+/// A table without the lines around it.
+#[derive(Debug, Default)]
+pub(crate) struct Form {
+    pub(crate) columns: Vec<String>,
+    /// Units by column, as the table states them below its header; empty where it does not.
+    pub(crate) units: Vec<String>,
+    pub(crate) rows: Vec<Record>,
+    /// What was passed over and is no row.
+    pub(crate) remarks: Vec<String>,
+    /// Breaks of the record, and lines that may have been rows.
+    pub(crate) warnings: Vec<String>,
+}
+
+/// Name of a column in one line with single blanks.
+pub fn name_of(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// Names in a line, the mark of a comment before them left out; empty cells at its end name nothing.
+fn names(cells: &StringRecord) -> Vec<String> {
+    let mut names: Vec<String> = cells.iter().map(name_of).collect();
+    if let Some(bare) = names.first().and_then(|first| first.strip_prefix(['#', '%'])).map(name_of) {
+        if bare.is_empty() { drop(names.remove(0)) } else { names[0] = bare }
+    }
+    while names.len() > 1 && names.last().is_some_and(String::is_empty) {
+        names.pop();
+    }
+    names
+}
+
+impl Form {
+    /// Finds the table in a text: the line with the most of the columns that are `asked` for is its header; of several, the first with as many fields
+    /// as most lines have. Without any of them it is the first such line.
+    pub(crate) fn find(place: &Place<'_>, preamble: &Preamble) -> Result<Self, InputError> {
+        let mut all = records(place.text, place.skipped + 1, place.separator);
+        let mut form = Self { remarks: preamble.remark.clone().into_iter().collect(), ..Self::default() };
+        if let Some(columns) = place.stated {
+            form.columns = columns.to_vec();
+        } else {
+            let header = header_place(&all, place.asked);
+            let rest = all.split_off((header + 1).min(all.len()));
+            let Some((line, cells)) = all.pop() else {
+                return Err(InputError::new(place.file, "a header line and rows", "an empty file"));
+            };
+            form.columns = names(&cells);
+            if !all.is_empty() {
+                form.remarks.push(format!(
+                    "the header is in line {line}; passed over before it: {} line(s)",
+                    all.len()
+                ));
+            }
+            all = rest;
+        }
+        let (comments, all): (Vec<Record>, Vec<Record>) =
+            all.into_iter().partition(|(_, cells)| is_comment(cells));
+        if !comments.is_empty() {
+            form.remarks.push(format!("comments in line(s) {}", lines(&comments)));
+        }
+        form.units.clone_from(&preamble.units);
+        form.take(place.file, all, place.asked)?;
+        form.units.resize(form.columns.len(), String::new());
+        form.complete(preamble);
+        Ok(form)
+    }
+
+    /// Takes the rows: of each part between two headers what is left without the lines of text below its header and at its end.
+    fn take(&mut self, file: &str, all: Vec<Record>, asked: &[String]) -> Result<(), InputError> {
+        let numeric = numeric_columns(&all, self.columns.len());
+        let (mut again, mut between, mut foot) = (Vec::new(), Vec::new(), Vec::new());
+        let mut parts = vec![Vec::new()];
+        for (line, cells) in all {
+            if is_text(&cells) && self.is_header(&cells) {
+                again.push((line, cells));
+                parts.push(Vec::new());
+                continue;
+            }
+            self.refuse_other_order(file, (line, &cells), asked)?;
+            parts.extend(parts.is_empty().then(Vec::new));
+            if let Some(part) = parts.last_mut() {
+                part.push((line, cells));
+            }
+        }
+        for (k, mut part) in parts.into_iter().enumerate() {
+            // Directly below a header a line without any number is no reading: units, or how the values were made.
+            let first = part.iter().position(|(_, cells)| !is_text(cells)).unwrap_or(0);
+            let below: Vec<Record> = part.drain(..first).collect();
+            if let Some((_, cells)) = below.first() {
+                self.remarks.push(format!("no readings below the header: line(s) {}", lines(&below)));
+                if k == 0 {
+                    self.units = cells.iter().map(written).collect();
+                }
+            }
+            let last = part.iter().rposition(|(_, cells)| !misfits(cells, &numeric));
+            // Where no line fits, the error of the first of them says more.
+            foot.extend(part.split_off(last.map_or(part.len(), |last| last + 1)));
+            let (text, rows): (Vec<Record>, Vec<Record>) = part
+                .into_iter()
+                .partition(|(_, cells)| last.is_some() && is_text(cells) && misfits(cells, &numeric));
+            between.extend(text);
+            self.rows.extend(rows);
+        }
+        for (what, records) in [
+            ("the header stands again (the record was interrupted there)", again),
+            ("text between the rows", between),
+            ("no readings below the rows", foot),
+        ] {
+            if !records.is_empty() {
+                let says = format!("{what}: passed over line(s) {}{}", lines(&records), quoted(&records));
+                self.warnings.push(says);
+            }
+        }
+        Ok(())
+    }
+
+    fn is_header(&self, cells: &StringRecord) -> bool {
+        names(cells) == self.columns
+    }
+
+    /// A line that names all the columns in another order is the header of another table.
+    fn refuse_other_order(
+        &self,
+        file: &str,
+        (line, cells): (usize, &StringRecord),
+        asked: &[String],
+    ) -> Result<(), InputError> {
+        if asked.is_empty() || !is_text(cells) {
+            return Ok(());
+        }
+        let found = names(cells);
+        if !asked.iter().all(|name| found.contains(name)) {
+            return Ok(());
+        }
+        let expected = format!("the columns {}", listed(&self.columns));
+        let error = InputError::new(file, expected, format!("the columns {}", listed(&found))).at(line);
+        Err(error.hint("another table begins there: split the file"))
+    }
+
+    /// Says the units, and fills in what a LabVIEW measurement file leaves out of its rows: the times, and a comment that is empty.
+    fn complete(&mut self, preamble: &Preamble) {
+        let units = self.columns.iter().zip(&self.units).filter(|(_, unit)| !unit.is_empty());
+        let units: Vec<String> = units.map(|(column, unit)| format!("{column} in {unit}")).collect();
+        if !units.is_empty() {
+            self.remarks.push(format!("units of the table: {}", units.join(", ")));
+        }
+        let Some([start, step]) = preamble.times else { return };
+        let untimed = self.rows.iter().all(|(_, cells)| cells.get(0) == Some(""));
+        for (k, (_, cells)) in self.rows.iter_mut().enumerate() {
+            let time = if untimed { (start + step * k as f64).to_string() } else { cells[0].to_owned() };
+            let more = self.columns.len().saturating_sub(cells.len());
+            let rest = cells.iter().skip(1).map(str::to_owned).chain(vec![String::new(); more]);
+            *cells = [time].into_iter().chain(rest).collect();
+        }
+    }
+}
+
+/// Where the header is among the first lines.
+fn header_place(all: &[Record], asked: &[String]) -> usize {
+    let mut widths = std::collections::HashMap::new();
+    all.iter().for_each(|(_, cells)| *widths.entry(cells.len()).or_insert(0) += 1);
+    let usual = widths.iter().max_by_key(|(width, count)| (**count, **width)).map(|(width, _)| *width);
+    let score = |(_, cells): &Record| {
+        let names = names(cells);
+        (asked.iter().filter(|name| names.contains(name)).count(), Some(cells.len()) == usual)
+    };
+    // The first of the best.
+    let places = (0..all.len().min(LOOK)).rev();
+    places.max_by_key(|&place| score(&all[place])).unwrap_or(0)
+}
+
+/// Columns in most of whose cells a number stands, of those that hold anything.
+fn numeric_columns(all: &[Record], width: usize) -> Vec<bool> {
+    let mut balance = vec![0_i64; width];
+    for (_, cells) in all.iter().filter(|(_, cells)| cells.len() >= width) {
+        for (balance, cell) in balance.iter_mut().zip(cells) {
+            *balance += match content(cell) {
+                Content::Value => 1,
+                Content::Text => -1,
+                Content::Empty | Content::Missing => 0,
+            };
+        }
+    }
+    balance.into_iter().map(|balance| balance > 0).collect()
+}
+
+/// A line with text and without any number.
+fn is_text(cells: &StringRecord) -> bool {
+    let mut text = false;
+    for cell in cells {
+        match content(cell) {
+            Content::Value => return false,
+            Content::Text => text = true,
+            Content::Empty | Content::Missing => {}
+        }
+    }
+    text
+}
+
+/// A line that begins with text and is none of the rows: it has text where these have numbers, or another number of fields.
+fn misfits(cells: &StringRecord, numeric: &[bool]) -> bool {
+    let begins =
+        cells.iter().find(|cell| !cell.is_empty()).is_some_and(|cell| content(cell) == Content::Text);
+    let odd = || cells.iter().zip(numeric).any(|(cell, numeric)| *numeric && content(cell) == Content::Text);
+    begins && (cells.len() != numeric.len() || odd())
+}
+
+fn is_comment(cells: &StringRecord) -> bool {
+    cells.get(0).is_some_and(|first| first.starts_with(['#', '%']) && content(first) == Content::Text)
+}
+
+fn lines(records: &[Record]) -> String {
+    named(&records.iter().map(|(line, _)| *line).collect::<Vec<_>>())
+}
+
+/// The first of some lines as they stand there.
+fn quoted(records: &[Record]) -> String {
+    let cells = records.first().map(|(_, cells)| cells.iter().filter(|c| !c.is_empty()).collect::<Vec<_>>());
+    cells.map_or_else(String::new, |cells| format!(" ({})", quote(&cells.join(", "))))
+}

@@ -1,0 +1,185 @@
+//! Units as people write them, at the end of a column's name or in a line of units: what they measure, and how much of its base unit they are.
+
+use crate::form::name_of;
+
+/// Symbols that take SI prefixes.
+const SYMBOLS: [&str; 13] = ["V/V", "N", "Pa", "V", "A", "m", "s", "g", "Hz", "W", "Nm", "Ohm", "K"];
+const PREFIXES: [(&str, &str, f64); 8] = [
+    ("n", "nano", 1e-9),
+    ("u", "micro", 1e-6),
+    ("m", "milli", 1e-3),
+    ("c", "centi", 1e-2),
+    ("h", "hecto", 1e2),
+    ("k", "kilo", 1e3),
+    ("M", "mega", 1e6),
+    ("G", "giga", 1e9),
+];
+/// Words for them, and other units: in small letters, with the base and the factor (inch, pound-force, kilopond and psi by their definitions).
+const WORDS: [(&str, &str, f64); 43] = [
+    ("newton", "N", 1.0),
+    ("pascal", "Pa", 1.0),
+    ("volt", "V", 1.0),
+    ("ampere", "A", 1.0),
+    ("amp", "A", 1.0),
+    ("meter", "m", 1.0),
+    ("metre", "m", 1.0),
+    ("gram", "g", 1.0),
+    ("kelvin", "K", 1.0),
+    ("ohm", "Ohm", 1.0),
+    ("sec", "s", 1.0),
+    ("second", "s", 1.0),
+    ("sekunde", "s", 1.0),
+    ("sekunden", "s", 1.0),
+    ("msec", "s", 1e-3),
+    ("usec", "s", 1e-6),
+    ("milli", "s", 1e-3),
+    ("micro", "s", 1e-6),
+    ("min", "s", 60.0),
+    ("minute", "s", 60.0),
+    ("minuten", "s", 60.0),
+    ("h", "s", 3600.0),
+    ("hr", "s", 3600.0),
+    ("hour", "s", 3600.0),
+    ("std", "s", 3600.0),
+    ("stunde", "s", 3600.0),
+    ("stunden", "s", 3600.0),
+    ("d", "s", 86_400.0),
+    ("day", "s", 86_400.0),
+    ("tag", "s", 86_400.0),
+    ("tage", "s", 86_400.0),
+    ("in", "m", 0.0254),
+    ("inch", "m", 0.0254),
+    ("lbf", "N", 4.448_221_615_260_5),
+    ("kgf", "N", 9.806_65),
+    ("psi", "Pa", 6_894.757_293_168),
+    ("bar", "Pa", 1e5),
+    ("mbar", "Pa", 1e2),
+    ("degc", "degC", 1.0),
+    ("celsius", "degC", 1.0),
+    ("degf", "degF", 1.0),
+    ("fahrenheit", "degF", 1.0),
+    ("t", "g", 1e6),
+];
+/// What at the end of a name, without brackets, more often is something else than a unit: `x_m` is measured, `sensor_in` an input.
+const UNCLEAR: [&str; 3] = ["in", "m", "t"];
+
+/// Base and factor of a unit; none where it is not known.
+fn parsed(unit: &str) -> Option<(&'static str, f64)> {
+    let unit: String =
+        unit.replace(['\u{b5}', '\u{3bc}'], "u").replace('\u{b0}', "deg").replace('\u{3a9}', "Ohm");
+    let unit: String =
+        unit.chars().filter(|c| !c.is_whitespace() && !"\u{b7}*.[](){}".contains(*c)).collect();
+    let symbol = |text: &str| SYMBOLS.into_iter().find(|s| *s == text);
+    if let Some(base) = symbol(&unit) {
+        return Some((base, 1.0));
+    }
+    let short = PREFIXES.iter().find_map(|(p, _, f)| Some((symbol(unit.strip_prefix(p)?)?, *f)));
+    let unit = unit.to_lowercase();
+    let word = |text: &str| {
+        let is = |(w, ..): &&(&str, _, _)| *w == text || w.len() > 1 && text.strip_suffix('s') == Some(*w);
+        WORDS.iter().find(is).map(|(_, base, factor)| (*base, *factor))
+    };
+    let long =
+        || PREFIXES.iter().find_map(|(_, p, f)| word(unit.strip_prefix(p)?).map(|(b, own)| (b, own * f)));
+    // Times are written in capitals, too.
+    let time =
+        || PREFIXES[..3].iter().find_map(|(p, _, f)| (unit.strip_prefix(p)? == "s").then_some(("s", *f)));
+    short.or_else(|| word(&unit)).or_else(long).or_else(time).or((unit == "s").then_some(("s", 1.0)))
+}
+
+/// How a unit is related to another one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Relation {
+    /// So many of the other are one of it.
+    Times(f64),
+    /// It measures something else.
+    Other,
+    /// One of them is not known.
+    Unknown,
+}
+
+/// How the unit `from` is related to the unit `to`.
+pub fn relation(from: &str, to: &str) -> Relation {
+    match (parsed(from), parsed(to)) {
+        _ if from.trim() == to.trim() => Relation::Times(1.0),
+        (Some((a, from)), Some((b, to))) if a == b => Relation::Times(from / to),
+        (Some(_), Some(_)) => Relation::Other,
+        _ => Relation::Unknown,
+    }
+}
+
+/// The unit in brackets at the end of a column's name: `Force (N)`, `t [ms]`.
+pub fn bracketed(name: &str) -> Option<&str> {
+    let name = name.trim();
+    [('(', ')'), ('[', ']'), ('{', '}'), ('<', '>')].into_iter().find_map(|(open, close)| {
+        let (_, unit) = name.strip_suffix(close)?.rsplit_once(open)?;
+        Some(unit.trim()).filter(|unit| !unit.is_empty())
+    })
+}
+
+/// The unit at the end of a column's name, in brackets or as its last word, where it is of one kind with `to`: `t_ms`, `Zeit in min`, `timeMs`.
+pub fn unit_in_name<'a>(name: &'a str, to: &str) -> Option<&'a str> {
+    let of_kind = |unit: &&str| matches!(relation(unit, to), Relation::Times(_));
+    if let Some(unit) = bracketed(name) {
+        return Some(unit).filter(of_kind);
+    }
+    let last = name.rsplit(['_', ' ', '/', '-', '.', ',', ':', '\u{a0}']).next()?;
+    let camel =
+        last.rfind(char::is_uppercase).filter(|at| *at > 0 && last[..*at].ends_with(char::is_lowercase));
+    let words = [Some(last), camel.map(|at| &last[at..])];
+    words.into_iter().flatten().filter(|unit| !UNCLEAR.contains(unit)).find(of_kind)
+}
+
+/// A unit as it is repeated in messages and documents.
+pub(crate) fn written(unit: &str) -> String {
+    name_of(unit.trim_matches(['(', ')', '[', ']']))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_are_related_by_what_they_measure() {
+        for (from, to, factor) in [
+            ("ms", "s", 1e-3),
+            ("\u{b5}s", "s", 1e-6),
+            ("days", "s", 86_400.0),
+            ("Minuten", "s", 60.0),
+            ("milliseconds", "s", 1e-3),
+            ("MS", "s", 1e-3),
+            ("kN", "N", 1e3),
+            ("Newton", "N", 1.0),
+            ("Volts", "V", 1.0),
+            ("mV/V", "mV / V", 1.0),
+            ("um", "mm", 1e-3),
+            ("N\u{b7}m", "N m", 1.0),
+        ] {
+            let Relation::Times(found) = relation(from, to) else { panic!("{from} {to}") };
+            assert!((found / factor - 1.0).abs() < 1e-9, "{from} {to}: {found}");
+        }
+        assert_eq!(relation("V", "N"), Relation::Other);
+        assert_eq!(relation("counts", "N"), Relation::Unknown);
+    }
+
+    #[test]
+    fn the_unit_of_a_time_stands_at_the_end_of_its_name() {
+        for (name, unit) in [
+            ("time_ms", "ms"),
+            ("Zeit (days)", "days"),
+            ("t [\u{b5}s]", "\u{b5}s"),
+            ("elapsed min", "min"),
+            ("t / h", "h"),
+            ("Zeit in Stunden", "Stunden"),
+            ("timeMs", "Ms"),
+            ("hours", "hours"),
+            ("t_s", "s"),
+        ] {
+            assert_eq!(unit_in_name(name, "s"), Some(unit), "{name}");
+        }
+        for name in ["time", "t", "timestamp", "Time (local)", "load_N", "items", "Zeit"] {
+            assert_eq!(unit_in_name(name, "s"), None, "{name}");
+        }
+        assert_eq!((unit_in_name("x_m", "mm"), unit_in_name("laser_um", "mm")), (None, Some("um")));
+    }
+}

@@ -172,6 +172,7 @@ fn overview(title: &str, introduction: &[&str], entries: &[IndexEntry]) -> Strin
         let contact = entry
             .verify
             .contact
+            .as_ref()
             .map_or_else(|| "–".to_owned(), |c| format!("{:.2} → {:.2}", c.before.rms_mm, c.after.rms_mm));
         let data = match entry.verify.simulated {
             true => TableCell::Badge("sim", "SIMULATED".into()),

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 pub struct TwinFault {
     /// Point numbers.
     pub points: Vec<i64>,
-    /// `branch`, `contact-lost`, `discretisation`, `not-settled`, `unit`.
-    #[schemars(extend("enum" = ["branch", "contact-lost", "discretisation", "not-settled", "unit"]))]
+    /// `axes`, `branch`, `contact-lost`, `discretisation`, `not-settled`, `sign`, `unit`.
+    #[schemars(extend("enum" = ["axes", "branch", "contact-lost", "discretisation", "not-settled", "sign", "unit"]))]
     pub kind: String,
     /// Plain sentence.
     pub detail: String,

@@ -49,7 +49,7 @@ macro_rules! recording {
 /// First what it is all for: an effect that nobody declared, found, added, and the contacts before and after. Then what was measured: explanations
 /// that another measurement refutes, and an effect that halves the held-out error and more. Last a bench with nothing to find.
 const RECORDINGS: &[Recording] = &[
-    recording!("practice-007", "practice/case-007", ["session.toml", "points.csv", "holdout.csv"], None),
+    recording!("bench-clamp", "recorded/clamp", ["session.toml", "points.csv", "holdout.csv"], None),
     recording!(
         "whiskerfbg",
         "whiskerfbg",
@@ -149,7 +149,7 @@ fn write_index(place: &Path, entries: &[IndexEntry]) -> anyhow::Result<PathBuf> 
     let introduction = [
         "Four recordings that come with the program, through the whole residual loop: what does the declared model lack, and how far \
          does the error on readings that it was not fitted to fall once that is added?",
-        "case-007 (SIMULATED): a whisker bench whose clamp yields, which nobody declared; the contact column says what that does to a contact in the \
+        "bench-clamp (SIMULATED): a whisker bench whose clamp yields, which nobody declared; the contact column says what that does to a contact in the \
          groove, and what is left once it is found. whiskerfbg-27: the whisker of a paper at 27 measured poses. Its explanations are judged by a second measurement that none of them has \
          seen, the sweep of the same whisker over a bottle (bottle/track.csv has its contacts). pontius: a load cell of NIST, declared as a \
          straight line. case-004: a whisker bench without any effect.",

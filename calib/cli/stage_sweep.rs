@@ -160,10 +160,15 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
     Ok(toml::to_string(&rig)?)
 }
 
-/// The rig of a bench in this process: nobody else drives its stage, and its time is the rig's.
+/// The rig of a bench in this process: nobody else drives its stage, its time is the rig's, and it draws no pictures.
 fn in_this_process(rig: &str) -> Result<String> {
     let mut rig = wcal_core::document::toml(rig)?;
     rig.remove("clock_scale");
+    if rig.remove("camera").is_some() {
+        eprintln!(
+            "stage-sweep: the bench in this process draws no pictures: recorded without cameras (`wcal virtual-bench` has them)"
+        );
+    }
     if let Some(stage) = rig.get_mut("stage").and_then(toml::Value::as_table_mut) {
         stage.insert("port".to_owned(), format!("in-process:{}", std::process::id()).into());
     }

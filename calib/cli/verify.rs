@@ -132,7 +132,37 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     } else {
         print_text(&done, &folder);
     }
+    if let Some(why) = exit_reason(&done.verify, doubtful) {
+        eprintln!("verify: {why}");
+    }
     Ok(exit_code(&done.verify, doubtful))
+}
+
+/// Why the exit code is not 0, and what to do.
+fn exit_reason(verify: &VerifyDocument, doubtful: bool) -> Option<&'static str> {
+    Some(match verify.verdict {
+        Verdict::Refused => "refused: the data cannot be used; correct what the reason names",
+        Verdict::Ambiguous => {
+            "exit code 4: explanations of more than one class remain; take the next measurement that is named, or choose one with --accept"
+        }
+        Verdict::UnknownEffect => {
+            "exit code 4: something is left that no effect explains, and no calibration was written; report.html shows what it follows"
+        }
+        Verdict::TwinFault => {
+            "exit code 4: labels of the outside twin are faulty; correct them as the fault says, or use the rod's (fit-gpr --labels rod)"
+        }
+        _ if verify.holdout.outcome == HoldoutOutcome::Contradicted => {
+            "exit code 4: the sealed readings contradict the accepted model, and no calibration was written; measure again, or look for what changed between"
+        }
+        _ if !verify.cautions.is_empty() => "exit code 3: the calibration stands within the cautions above",
+        _ if verify.after_trimmed.is_some() => {
+            "exit code 3: single sealed readings lie far outside the noise; look at them (predictions.csv) before the calibration is used"
+        }
+        _ if doubtful => {
+            "exit code 3: the session was read with the warnings above; look at them before the calibration is used"
+        }
+        _ => return None,
+    })
 }
 
 /// `SESSION-verified`, beside the session.

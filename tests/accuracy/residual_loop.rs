@@ -194,7 +194,7 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
     let said = String::from_utf8_lossy(&run.stdout);
     assert!(run.status.success() && said.contains("case-004 (SIMULATED): adequate"), "{said}");
     // What it is all for: contacts in the groove before and after, first in the output, on the page and in the overview.
-    let bench = std::fs::read_to_string(out.join("practice-007/verify.json")).expect("file");
+    let bench = std::fs::read_to_string(out.join("bench-clamp/verify.json")).expect("file");
     let contact: Value = serde_json::from_str::<Value>(&bench).expect("JSON")["contact"].clone();
     let rms = |side: &str| contact[side]["rms_mm"].as_f64().expect("rms");
     assert!(
@@ -215,10 +215,10 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
     assert!(first.contains("<svg") && first.contains("case-004 (SIMULATED)"), "a chart, marked");
     assert!(
         first.contains("contact (mm)")
-            && read("practice-007/report.html").contains("Contact beside the groove")
+            && read("bench-clamp/report.html").contains("Contact beside the groove")
     );
     for (page, marked) in
-        [("practice-007", true), ("practice-004", true), ("pontius", false), ("whiskerfbg", false)]
+        [("bench-clamp", true), ("practice-004", true), ("pontius", false), ("whiskerfbg", false)]
     {
         assert_eq!(read(&format!("{page}/report.html")).contains("SIMULATED"), marked, "{page}");
     }

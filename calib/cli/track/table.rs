@@ -10,11 +10,11 @@ use wcal_contact::ContactError;
 use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::Estimator;
 use wcal_contact::known_groove::KnownGroove;
+use wcal_contact::known_motion_stream::KnownMotionStream;
 use wcal_contact::known_motion_table::KnownMotionTable;
 use wcal_contact::motion_table::{LoggedMotion, has_motion, read};
 use wcal_contact::reading::Reading;
 use wcal_contact::session_groove::{session_readings, without_groove};
-use wcal_contact::static_arc::StaticArc;
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::TableSource;
 use wcal_contact::track::Input;
@@ -132,11 +132,17 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
             None,
         ));
     }
-    let wire = CalibratedWire::new(&source.wire, &source.changed, whisker.diameter_mm);
+    let wire = CalibratedWire::new(&source.wire, &source.changed, whisker.diameter_mm)
+        .with_tolerance(args.diameter_sd);
     if args.motion.is_none() && !has_motion(path)? {
         let mut readings = source.alone();
         let tare_s = zero_span_s(args, path, &mut readings, (has_misfit, zero_known))?;
-        return Ok(prepared(readings, Box::new(StaticArc::new(wire)), (false, tare_s), None));
+        return Ok(prepared(
+            readings,
+            Box::new(KnownMotionStream::new(wire, ACCURACY, false)),
+            (false, tare_s),
+            None,
+        ));
     }
     let file = args.motion.as_deref().unwrap_or(path);
     let logged = read(file)?;

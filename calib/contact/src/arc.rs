@@ -41,6 +41,7 @@ pub(crate) fn allowed_weights(
     let mut solutions = Vec::new();
     inverse.solutions(moment_nmm, &mut solutions);
     let (nodes, lengths) = (&inverse.nodes, lengths(&inverse.nodes));
+    // A contact anywhere on the wire is as probable by length; the tip has a mass of its own, shared by its tilts.
     let tilts = nodes.iter().filter(|n| n.tilt > 0.0).count().max(1) as f64;
     let whole: f64 = lengths.iter().sum();
     let prior = |k: usize| match nodes[k].tilt > 0.0 {
@@ -66,6 +67,7 @@ pub(crate) fn stated_answer(
     let each = || weights.iter().zip(solutions);
     let mean: Vector3<f64> = each().map(|(w, s)| s.point_mm * *w).sum();
     let normal: Vector3<f64> = each().map(|(w, s)| s.normal * *w).sum();
+    // Law of total covariance: spread of the places, and each one's own error.
     let noise_nmm = sd_nmm[0].hypot(sd_nmm[1]);
     let mut covariance = Matrix3::identity() * MIN_SD_MM * MIN_SD_MM;
     for (w, s) in each() {
@@ -97,6 +99,7 @@ pub fn any_motion(
     network: Prediction,
 ) -> Prediction {
     let alone = static_arc(inverse, moment_nmm, sd_nmm, &network);
+    // Second moment of a mixture of two about the stated point.
     let mixed = |trained: f32, other: f32| AS_TRAINED * trained + (1.0 - AS_TRAINED) * other;
     let off = [0, 1, 2].map(|i| alone.point_mm[i] - network.point_mm[i]);
     let (n, a) = (network.covariance_mm2, alone.covariance_mm2);

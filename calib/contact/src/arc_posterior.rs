@@ -72,6 +72,7 @@ impl ArcDensity {
                     places_mm[k] + width_mm * share * p as f64
                 }
             };
+            // ln p is near linear between nodes that differ by little: a cell is the midpoint rule of the exponential.
             let density = (ln[k] + (ln[k + 1] - ln[k]) * share * (p as f64 + 0.5) - best).exp();
             Region { from_mm: at(p), to_mm: at(p + 1), probability: density * width_mm * share }
         };
@@ -114,6 +115,7 @@ impl ArcDensity {
     pub fn regions(&self) -> Vec<Region> {
         let mut order: Vec<usize> = (0..self.0.len()).collect();
         order.sort_by(|a, b| self.0[*b].density().total_cmp(&self.0[*a].density()));
+        // Highest density first: of all sets with this mass it is the shortest.
         let mut sum = 0.0;
         let least = order.into_iter().map(|k| &self.0[k]).find(|cell| {
             sum += cell.probability;
@@ -139,6 +141,7 @@ impl ArcDensity {
 pub fn mixed_place(
     parts: impl Iterator<Item = (f64, Vector3<f64>, Matrix3<f64>)> + Clone,
 ) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    // Law of total covariance.
     let total: f64 = parts.clone().map(|p| p.0).sum();
     let mean: Vector3<f64> = parts.clone().map(|(w, at, _)| at * (w / total)).sum();
     let about = |(w, at, covariance): (f64, Vector3<f64>, Matrix3<f64>)| {

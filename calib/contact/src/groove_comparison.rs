@@ -56,6 +56,7 @@ fn uncertainty(compared: &[Compared]) -> Vec<ContactUncertainty> {
     for c in compared {
         by_arclength.entry(c.arclength_mm.round() as i64).or_default().insert(c.trajectory, *c);
     }
+    // Trajectories are independent, their readings are not: one number a trajectory, root mean square over them.
     let of = |(at, each): (i64, BTreeMap<u32, Compared>)| {
         let rms = |of: fn(&Compared) -> f64| {
             (each.values().map(|c| of(c).powi(2)).sum::<f64>() / each.len() as f64).sqrt()

@@ -185,6 +185,7 @@ impl KnownGroove {
 
 /// Chance of `hits` or fewer of `n` with probability `p` each (binomial).
 pub fn binomial_cdf(hits: usize, n: usize, p: f64) -> f64 {
+    // Terms by their ratio, P(k + 1) / P(k) = (n - k) / (k + 1) p / (1 - p).
     let (mut ln_term, mut sum) = (n as f64 * (1.0 - p).ln(), 0.0);
     for k in 0..=hits {
         sum += ln_term.exp();

@@ -1,4 +1,5 @@
-//! Contacts of a stream along a known motion, reading by reading: episodes and recursive posteriors ([`ContactStream`]); no network. Where a point
+//! Contacts reading by reading, of a stream along its motion or of readings of whose motion nothing is known: episodes and recursive posteriors
+//! ([`ContactStream`]), or the arc that the moments allow ([`StaticArc`]); no network. Where a point
 //! that stays does not explain the moments, the contact is followed as one that slides ([`SlidingStream`]), too; each way has its weight
 //! ([`crate::regimes`]), anew with each block of readings.
 //!
@@ -20,7 +21,7 @@ use crate::regimes::{
 };
 use crate::sliding::{Blocks, SlidingStream};
 use crate::static_arc::StaticArc;
-use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
+use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method, POINT_OF_OBJECT};
 use nalgebra::{Matrix2, Vector3};
 use std::sync::Arc;
 use wcal_core::stream::Flags;
@@ -103,6 +104,7 @@ impl KnownMotionStream {
             stream.interrupt();
         }
         let Some(reading) = self.wire.row(row, &self.accuracy) else { return Ok(Contact::default()) };
+        // What is not the row's own noise is the draw of its pose, which the posterior carries.
         let own_nmm2 = m.own_nmm2.unwrap_or(pose_nmm2 * WHITE * WHITE);
         let own = MotionRow { noise_nmm2: own_nmm2, free_nmm2: None, ..reading.clone() };
         let found = stream.push(&own, motion.piece, motion.push)?;
@@ -198,8 +200,8 @@ impl KnownMotionStream {
         if lost > 0 {
             let why: Vec<String> = self.alone.lost().iter().map(|(name, n)| format!("{name} {n}")).collect();
             all.push(Message::warning(format!(
-                "the motion of {lost} of {} rows, which are loaded, is not known ({}): each has the arc that its moments allow; marked \
-                 motion-lost in status",
+                "the motion of {lost} of {} rows, which are loaded, is not known ({}; --motion, --model): each has the arc that its moments allow; \
+                 marked motion-lost in status",
                 self.rows,
                 why.join(", ")
             )));
@@ -208,7 +210,7 @@ impl KnownMotionStream {
         all.extend(self.episodes.iter().filter_map(said).map(|(number, said)| {
             Message::warning(format!("contact {number}: {said}; marked motion-disagrees in status"))
         }));
-        if self.episodes.is_empty() {
+        if self.episodes.is_empty() && self.stream.is_some() {
             all.push(Message::note(
                 "no contact: no row is loaded beyond its noise where the motion is known",
             ));
@@ -240,16 +242,20 @@ impl Estimator for KnownMotionStream {
 
     fn findings(&self) -> Findings {
         let lost = !self.alone.lost().is_empty();
+        let (method, place) = match self.stream.is_some() {
+            true => (Method::KnownMotion, AXIS_OF_WIRE),
+            false => (Method::StaticArc, POINT_OF_OBJECT),
+        };
         let document = EstimatorDocument {
-            method: Some(Method::KnownMotion),
-            place: Some(AXIS_OF_WIRE),
+            method: Some(method),
+            place: Some(place),
             lost_rows: Some(self.alone.lost().clone()),
             disagreeing_rows: Some(self.disagreeing),
             contacts: Some(self.episodes.iter().map(ContactDocument::of_stream).collect()),
             ..EstimatorDocument::default()
         };
         let doubt = self.disagreeing > 0 || lost || self.episodes.iter().any(|e| !e.innovations.consistent());
-        let spans_s = Some(self.episodes.iter().map(|e| e.span_s).collect());
+        let spans_s = self.stream.as_ref().map(|_| self.episodes.iter().map(|e| e.span_s).collect());
         Findings { document, messages: self.messages(), doubt, spans_s, ..Findings::default() }
     }
 }

@@ -55,6 +55,7 @@ impl TableContact {
         let located = (0..places.len()).filter(|j| places[*j].place_mm.is_some());
         let near =
             located.min_by_key(|j| j.abs_diff(k)).filter(|near| *near == k || !self.weights.slides())?;
+        // A point of a rigid object goes with it.
         let turn = rows[k].turn * rows[near].turn.inverse();
         let place = EpisodeContact {
             place_mm: places[near].place_mm.map(|at| turn * (at - rows[near].moved_mm) + rows[k].moved_mm),
@@ -151,6 +152,7 @@ impl KnownMotionTable {
     /// gains of which nothing is known but its size: `e_i = sum_j g_ij m_j / |m|_max`, `g_ij ~ N(0, S_ii / 2)`. Where it is not, rows of one
     /// pose have one noise from pose to pose, and each counts for its share.
     fn split_noise(&mut self) {
+        // An error of the law is a smooth function of the moment: to first order a gain, largest at the largest load.
         let size = |r: &MotionRow| r.moment_nmm[0].hypot(r.moment_nmm[1]);
         let largest_nmm = self.rows.iter().map(size).fold(1e-9, f64::max);
         let poses: Vec<f64> = (0..self.rows.len()).map(|k| same_pose(&self.rows, k)).collect();
@@ -220,6 +222,9 @@ impl KnownMotionTable {
                 (Some(Regime::Misstated), Some(m)) => format!("{}; marked motion-disagrees in status", m.sentence()),
                 (Some(Regime::Sliding), _) if !c.sliding.sure() => "the fit of a sliding contact leaves more than noise, or the motion turns \
                      back: the contact may be lost, and its regions are wide; marked sliding-assumed in status"
+                    .to_owned(),
+                (Some(Regime::Sliding), _) => "it slides over the object; an error of the calibration's gain or of the clock would move it unseen, \
+                     but for an object that is known"
                     .to_owned(),
                 _ if c.flags().has(Flags::MOTION_DISAGREES) => match c.point().innovations.sentence() {
                     Some(said) => format!("{said}; marked motion-disagrees in status"),

@@ -12,7 +12,6 @@
 pub mod arc;
 pub mod arc_posterior;
 pub mod calibrated_wire;
-pub mod contact_history;
 mod error;
 pub mod estimator;
 pub mod frame;

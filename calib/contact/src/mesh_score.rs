@@ -29,6 +29,7 @@ impl Distances {
         mm.iter_mut().for_each(|d| *d = d.abs());
         mm.sort_by(f64::total_cmp);
         let n = mm.len() as f64;
+        // Nearest rank.
         let quantile = |q: f64| mm[((n - 1.0) * q).round() as usize];
         Self {
             rmse_mm: (mm.iter().map(|d| d * d).sum::<f64>() / n).sqrt(),

@@ -89,6 +89,7 @@ impl RegimeWeights {
 
     /// By the logarithms of the evidence, in the order of [`REGIMES`].
     pub fn after(&self, ln_evidence: &[f64; 5]) -> Self {
+        // Bayes' rule with the evidence to a power (a power posterior: readings are not as independent as they count).
         let ln = |k: usize| self.0[k].ln() + POWER * ln_evidence[k];
         let best = (0..5).map(ln).fold(f64::NEG_INFINITY, f64::max);
         let all: [f64; 5] = std::array::from_fn(|k| (ln(k) - best).exp());
@@ -292,6 +293,7 @@ fn point_evidence(
     before: Option<&MotionRow>,
     blocks: &[MotionRow],
 ) -> f64 {
+    // What the wire's model is off at a block is a draw for each block, as the sliding contact has it.
     let noisy = |row: &MotionRow| MotionRow { noise_nmm2: row.noise_nmm2 + model_nmm2(row), ..row.clone() };
     let settings = Settings { correlated: None, ..*settings };
     let lead: Vec<MotionRow> = before.map(noisy).into_iter().collect();

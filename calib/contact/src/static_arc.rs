@@ -4,10 +4,9 @@ use crate::ContactError;
 use crate::arc::{arc_density, static_arc};
 use crate::arc_posterior::ArcDensity;
 use crate::calibrated_wire::CalibratedWire;
-use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
+use crate::estimator::{Contact, ContactEstimate};
 use crate::known_motion::MotionUnknown;
-use crate::reading::{Moments, Reading};
-use crate::track_document::{EstimatorDocument, Method, POINT_OF_OBJECT};
+use crate::reading::Moments;
 use std::collections::BTreeMap;
 use wcal_core::stream::Flags;
 use wcal_track::StaticInverse;
@@ -16,20 +15,19 @@ use wcal_track::network::Prediction;
 /// A wire that is loaded by so many standard deviations touches something.
 const LOADED_SDS: f64 = 4.0;
 
-/// The estimator of moments alone.
+/// What moments alone allow.
 pub struct StaticArc {
     wire: CalibratedWire,
     /// Made at the first loaded reading.
     inverse: Option<StaticInverse>,
     /// Loaded readings, by why their motion is not known.
     lost: BTreeMap<&'static str, u64>,
-    readings: u64,
 }
 
 impl StaticArc {
     /// Of a wire.
     pub fn new(wire: CalibratedWire) -> Self {
-        Self { wire, inverse: None, lost: BTreeMap::new(), readings: 0 }
+        Self { wire, inverse: None, lost: BTreeMap::new() }
     }
 
     /// What the moments of a loaded reading allow, with standard deviations of these sizes, N mm.
@@ -54,7 +52,6 @@ impl StaticArc {
     /// # Errors
     /// Where the wire cannot be bent.
     pub fn estimate_contact(&mut self, m: &Moments, why: MotionUnknown) -> Result<Contact, ContactError> {
-        self.readings += 1;
         // A reading's own noise may be larger than that from pose to pose, which is one of averages.
         let own = m.own_nmm2.map_or(0.0, |n| n.trace());
         let sd_nmm = (m.sd_nmm[0].powi(2) + m.sd_nmm[1].powi(2) + own).sqrt();
@@ -70,28 +67,5 @@ impl StaticArc {
     /// Loaded readings, by why their motion is not known.
     pub fn lost(&self) -> &BTreeMap<&'static str, u64> {
         &self.lost
-    }
-}
-
-impl Estimator for StaticArc {
-    fn push(&mut self, reading: &Reading) -> Result<Vec<Contact>, ContactError> {
-        let why = reading.motion.as_ref().err().copied().unwrap_or(MotionUnknown::Unknown);
-        let contact = reading.moments.as_ref().map(|m| self.estimate_contact(m, why)).transpose()?;
-        Ok(vec![contact.unwrap_or_default()])
-    }
-
-    fn findings(&self) -> Findings {
-        let loaded: u64 = self.lost.values().sum();
-        let document = EstimatorDocument {
-            method: Some(Method::StaticArc),
-            place: Some(POINT_OF_OBJECT),
-            ..EstimatorDocument::default()
-        };
-        let message = format!(
-            "{loaded} of {} readings are loaded and no motion is known (--motion, --model): each has the arc that its moments allow, with its \
-             regions in arclength_regions95; marked motion-lost in status",
-            self.readings
-        );
-        Findings { document, messages: vec![Message::note(message)], lost: loaded > 0, ..Findings::default() }
     }
 }

@@ -44,6 +44,8 @@ pub struct StreamSettings {
     pub base_mm_s: Option<f64>,
     /// The user vouches for a motion as in training where it is not known.
     pub vouched: bool,
+    /// Relative standard deviation of the diameter of a wire that is not the calibration's own.
+    pub diameter_sd: Option<f64>,
     /// What is assumed of the motion.
     pub accuracy: MotionAccuracy,
 }
@@ -282,7 +284,7 @@ impl<'a> StreamSource<'a> {
     /// Where the motion comes from; none where networks locate the contacts.
     fn motion_document(&self) -> Option<StreamMotionDocument> {
         let log = self.motion.log();
-        self.all.iter().all(|w| w.loaded.network.is_none()).then(|| StreamMotionDocument {
+        self.all.iter().all(|w| !w.loaded.by_network()).then(|| StreamMotionDocument {
             source: self.motion.source(),
             span_s: log.map(MotionLog::span_s),
             jump_lines: log.map(|l| l.jumps().collect()),
@@ -319,7 +321,8 @@ impl<'a> Whisker<'a> {
                 None => {
                     let (accepted, changed) =
                         l.calibration()?.wire(&whisker).map_err(ContactError::in_file(&l.place))?;
-                    let wire = CalibratedWire::new(&accepted, &changed, whisker.diameter_mm);
+                    let wire = CalibratedWire::new(&accepted, &changed, whisker.diameter_mm)
+                        .with_tolerance(stream.diameter_sd);
                     let middle_mm = frame.rotation().inverse() * wire.middle_mm();
                     // The prefix is long enough; a reading that comes sooner solves what it needs itself.
                     let filled = wire.clone();

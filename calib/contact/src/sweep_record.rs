@@ -70,6 +70,7 @@ impl SweepZero {
         if free < MIN_FREE {
             return None;
         }
+        // The free wire has no moment: what is read there is the zero, and its scatter the noise of a reading.
         let zero = moments[..free].iter().sum::<Vector2<f64>>() / free as f64;
         let variance = moments[..free].iter().map(|m| (m - zero).norm_squared()).sum::<f64>()
             / (2.0 * (free - 1) as f64);

@@ -240,6 +240,7 @@ impl SweepWitness {
         };
         let (d_mm, normal) = nearest(*m)?;
         let by = |v: Option<(f64, Vector3<f64>)>| v.map_or(0.0, |(d, _)| (d - d_mm) / STEP_NMM);
+        // Forward difference: the nearest contact moves with the moments by the wire's compliance.
         let by_moment = Vector2::new(
             by(nearest(m + Vector2::new(STEP_NMM, 0.0))),
             by(nearest(m + Vector2::new(0.0, STEP_NMM))),
@@ -261,6 +262,7 @@ impl SweepWitness {
             let Some(outward) = off.try_normalize(1e-9) else { continue };
             let force = to_object.rotation * self.to_base(&s.normal);
             let angle = force.dot(&outward).clamp(-1.0, 1.0).acos();
+            // Without slip the force lies within the friction cone about the outward normal; beyond it a radian costs a lever.
             let excess_mm = LEVER_MM_PER_RAD * (angle - FRICTION.atan()).max(0.0);
             let cost = near.distance_mm.hypot(excess_mm);
             if best.is_none_or(|(c, ..)| cost < c) {
@@ -285,6 +287,7 @@ impl SweepWitness {
         let shared: Vec<Vec<f64>> =
             (0..n).map(|i| shared_nmm[i].iter().map(|h| gaps[i].by_moment.dot(h)).collect()).collect();
         let placed = self.session.object_sd_mm.powi(2);
+        // Errors add: misfit alike for like moments, common unknowns, the zero, the object's place along both normals, and each contact's own.
         DMatrix::from_fn(n, n, |i, j| {
             let off = (moments[i] - moments[j]).norm() / spacing_nmm.max(1e-9);
             let alike = (-0.5 * off * off).exp();
@@ -313,6 +316,7 @@ impl Witness<WhiskerSystem> for SweepWitness {
 /// without any.
 fn chi_squared(gaps: &[Gap], covariance: DMatrix<f64>) -> Option<(f64, f64, f64)> {
     let d = DVector::from_iterator(gaps.len(), gaps.iter().map(|g| g.d_mm));
+    // Along eigenvectors of the covariance the gaps are independent: each square over its eigenvalue is chi-squared.
     let eigen = covariance.symmetric_eigen();
     let ruled = (0..d.len()).filter(|j| eigen.eigenvalues[*j] > 2.0 * CONTACT_SD_MM.powi(2));
     let squares: Vec<f64> =

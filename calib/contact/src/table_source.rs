@@ -217,6 +217,7 @@ fn base_poses(path: &Path) -> Result<HashMap<usize, BasePose>, ContactError> {
 
 /// Velocity of the base between two poses, base frame, mm/s.
 fn velocity_mm_s(before: &BasePose, now: &BasePose, dt_s: f64) -> Option<Vector3<f64>> {
+    // Difference of two places over the time between, seen from the base.
     let moved = now.world_from_base.translation.vector - before.world_from_base.translation.vector;
     (dt_s > 0.0).then(|| now.world_from_base.rotation.inverse() * moved / dt_s)
 }

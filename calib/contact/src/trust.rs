@@ -35,7 +35,7 @@ impl TrustIssues {
     }
 }
 
-/// A whisker's calibration and model.
+/// A whisker's calibration and model, judged before the model itself is loaded.
 pub struct WhiskerModel<'a> {
     /// Name in the rig.
     pub name: String,
@@ -43,18 +43,12 @@ pub struct WhiskerModel<'a> {
     pub place: PathBuf,
     /// Calibration.
     pub file: CalibrationFile<CalibrationModel>,
-    /// Network; none where the motion is known.
-    pub network: Option<Network<'a>>,
+    /// Card of the network; none where the motion is known.
+    card: Option<Card>,
+    /// The network, once it is loaded.
+    pub tracker: Option<&'a Tracker>,
     /// What speaks against them.
     pub doubts: TrustIssues,
-}
-
-/// A network with its card.
-pub struct Network<'a> {
-    /// Model.
-    pub tracker: &'a Tracker,
-    /// Its card.
-    pub card: Card,
 }
 
 /// Share of the noise from pose to pose that is white from one averaged reading to the next; the rest is slow. An assumption.
@@ -68,7 +62,7 @@ pub fn filters_for(filters: FilterBank, model: &CalibrationModel) -> FilterBank 
     filters.with_measurement_noise(WHITE * noise_nmm, ZERO * noise_nmm)
 }
 
-impl WhiskerModel<'_> {
+impl<'a> WhiskerModel<'a> {
     /// Its calibration from wavelengths to moments.
     ///
     /// # Errors
@@ -82,7 +76,7 @@ impl WhiskerModel<'_> {
     /// # Errors
     /// Where the moments are not across the wire's root.
     pub fn frame(&self) -> Result<WireFrame, ContactError> {
-        let own = self.file.whisker.as_ref().or(self.network.as_ref().map(|n| &n.card.whisker));
+        let own = self.file.whisker.as_ref().or(self.card.as_ref().map(|card| &card.whisker));
         frame_of(&self.file, own.ok_or_else(|| self.nameless())?, &self.place)
     }
 
@@ -91,8 +85,8 @@ impl WhiskerModel<'_> {
     /// # Errors
     /// Where neither says.
     pub fn whisker(&self) -> Result<WhiskerSpec, ContactError> {
-        match (&self.network, &self.file.whisker) {
-            (Some(network), _) => Ok(network.card.whisker.clone()),
+        match (&self.card, &self.file.whisker) {
+            (Some(card), _) => Ok(card.whisker.clone()),
             (None, Some(whisker)) => Ok(self.frame()?.whisker(whisker)),
             (None, None) => Err(self.nameless()),
         }
@@ -108,12 +102,49 @@ impl WhiskerModel<'_> {
     /// # Errors
     /// Where the wire is another than the network's and cannot be bent.
     pub fn estimator(&self, vouched: bool) -> Result<Option<NetworkEstimator<'_>>, ContactError> {
-        let Some(Network { tracker, card }) = &self.network else { return Ok(None) };
+        let Some((tracker, card)) = self.tracker.zip(self.card.as_ref()) else { return Ok(None) };
         let own = self.file.whisker.as_ref().map(|w| Ok::<_, ContactError>(self.frame()?.whisker(w)));
         let other = own.transpose()?.filter(|w| w.difference(&card.whisker).is_some());
         let other = other.map(|w| StaticInverse::new(&w, InverseGrid::coarse())).transpose()?;
         let filters = filters_for(tracker.filters, &self.file.model);
         Ok(Some(NetworkEstimator::new((tracker, card), filters, vouched, other)))
+    }
+
+    /// Whether its contacts come from a network.
+    pub fn by_network(&self) -> bool {
+        self.card.is_some()
+    }
+
+    /// Reads a calibration and judges it by itself and beside the model, where contacts come from one.
+    ///
+    /// # Errors
+    /// Where the calibration cannot be read, or was changed so that its content means nothing any more.
+    pub fn read(name: &str, place: &Path, card: Option<Card>) -> Result<Self, ContactError> {
+        let (file, mut issues) = calibration_issues(place)?;
+        // In the frame of the wire: a network knows one orientation.
+        let own = file.whisker.as_ref().map(|w| Ok::<_, ContactError>(frame_of(&file, w, place)?.whisker(w)));
+        let own = own.transpose()?;
+        let differs = own.as_ref().zip(card.as_ref()).and_then(|(w, c)| w.difference(&c.whisker));
+        issues.extend(differs.map(TrustIssue::OtherWhisker));
+        let doubts = TrustIssues(issues);
+        let (name, place) = (name.to_owned(), place.to_owned());
+        Ok(Self { name, place, file, card, tracker: None, doubts })
+    }
+
+    /// Judges the whisker of a session beside that of the calibration.
+    pub fn check_session(&mut self, whisker: &WhiskerSpec) {
+        let differs = self.file.whisker.as_ref().and_then(|w| w.difference(whisker));
+        self.doubts.0.extend(differs.map(TrustIssue::OtherSession));
+    }
+
+    /// Judges the time between readings (s) by those that the network was trained with.
+    pub fn check_step(&mut self, step_s: Option<f64>) {
+        let Some(card) = &self.card else { return };
+        let trained_s = trained_steps_s(card.training.time_factor);
+        let [low, high] = trained_s;
+        if let Some(found_s) = step_s.filter(|s| !(low..=high).contains(s)) {
+            self.doubts.0.push(TrustIssue::SampleRate { trained_s, found_s });
+        }
     }
 }
 
@@ -145,74 +176,4 @@ fn calibration_issues(
         issues.push(TrustIssue::NeverVerified);
     }
     Ok((file, issues))
-}
-
-/// A whisker's calibration judged beside a model's card, before the model itself is loaded.
-pub struct CheckedCalibration {
-    name: String,
-    place: PathBuf,
-    file: CalibrationFile<CalibrationModel>,
-    card: Option<Card>,
-    /// What speaks against them.
-    pub doubts: TrustIssues,
-}
-
-impl CheckedCalibration {
-    /// Name in the rig.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// The calibration.
-    pub fn file(&self) -> &CalibrationFile<CalibrationModel> {
-        &self.file
-    }
-
-    /// Where it lies.
-    pub fn place(&self) -> &Path {
-        &self.place
-    }
-
-    /// Whether it says of which whisker it is; where not, a model is taken to fit.
-    pub fn names_whisker(&self) -> bool {
-        self.file.whisker.is_some()
-    }
-
-    /// With its model, where it was read with the model's card.
-    pub fn with(self, tracker: Option<&Tracker>) -> WhiskerModel<'_> {
-        let Self { name, place, file, card, doubts } = self;
-        let network = tracker.zip(card).map(|(tracker, card)| Network { tracker, card });
-        WhiskerModel { name, place, file, network, doubts }
-    }
-
-    /// Reads a calibration and judges it by itself and beside the model, where contacts come from one.
-    ///
-    /// # Errors
-    /// Where the calibration cannot be read, or was changed so that its content means nothing any more.
-    pub fn read(name: &str, place: &Path, card: Option<Card>) -> Result<Self, ContactError> {
-        let (file, mut issues) = calibration_issues(place)?;
-        // In the frame of the wire: a network knows one orientation.
-        let own = file.whisker.as_ref().map(|w| Ok::<_, ContactError>(frame_of(&file, w, place)?.whisker(w)));
-        let own = own.transpose()?;
-        let differs = own.as_ref().zip(card.as_ref()).and_then(|(w, c)| w.difference(&c.whisker));
-        issues.extend(differs.map(TrustIssue::OtherWhisker));
-        let doubts = TrustIssues(issues);
-        Ok(Self { name: name.to_owned(), place: place.to_owned(), file, card, doubts })
-    }
-
-    /// Judges the whisker of a session beside that of the calibration.
-    pub fn check_session(&mut self, whisker: &WhiskerSpec) {
-        let differs = self.file.whisker.as_ref().and_then(|w| w.difference(whisker));
-        self.doubts.0.extend(differs.map(TrustIssue::OtherSession));
-    }
-
-    /// Judges the time between readings (s) by those that the network was trained with.
-    pub fn check_step(&mut self, step_s: Option<f64>) {
-        let Some(card) = &self.card else { return };
-        let trained_s = trained_steps_s(card.training.time_factor);
-        let [low, high] = trained_s;
-        if let Some(found_s) = step_s.filter(|s| !(low..=high).contains(s)) {
-            self.doubts.0.push(TrustIssue::SampleRate { trained_s, found_s });
-        }
-    }
 }

@@ -1,11 +1,10 @@
 //! The track of one whisker: readings in, rows out, whatever the source and the estimator.
 //!
 //! ```text
-//! reading -> zero -> frame of the wire -> estimator -> contact -> base frame -> known groove, contact intervals and cloud -> row
+//! reading -> zero -> frame of the wire -> estimator -> contact -> base frame -> known groove, contact intervals -> row
 //! ```
 
 use crate::ContactError;
-use crate::contact_history::ContactHistory;
 use crate::estimator::{Contact, Estimator, Message};
 use crate::frame::{in_base_frame, in_wire_frame};
 use crate::known_groove::KnownGroove;
@@ -17,6 +16,7 @@ use crate::zero::Zero;
 use std::collections::VecDeque;
 use wcal_core::WireFrame;
 use wcal_core::stream::StreamMoments;
+use wcal_track::segments::SegmentFinder;
 
 /// What stands beside the rows of a whisker.
 #[derive(Debug, Clone, Default)]
@@ -44,9 +44,10 @@ pub struct WhiskerTrack<'a> {
     estimator: Box<dyn Estimator + 'a>,
     zero: Zero,
     pending: VecDeque<Pending>,
-    /// Contact intervals and cloud; no intervals where each reading stands by itself.
-    history: ContactHistory,
+    /// Contact intervals; none where each reading stands by itself.
+    segments: SegmentFinder,
     followed: bool,
+    last_s: Option<f64>,
     /// The groove that the answers are compared with, where it is known.
     groove: Option<KnownGroove>,
     /// The object that is passed, where its place is known, and the distances of the contacts on it, mm.
@@ -65,15 +66,16 @@ impl<'a> WhiskerTrack<'a> {
         tare_s: f64,
         followed: bool,
     ) -> Self {
-        let history = ContactHistory::new(&facts.name);
+        let segments = SegmentFinder::new(&facts.name);
         Self {
             facts,
             frame,
             estimator,
             zero: Zero::new(tare_s),
             pending: VecDeque::new(),
-            history,
+            segments,
             followed,
+            last_s: None,
             groove: None,
             object: None,
             distances_mm: Vec::new(),
@@ -132,10 +134,14 @@ impl<'a> WhiskerTrack<'a> {
         if let (Some(groove), Some(estimate)) = (&mut self.groove, &estimate) {
             groove.push(t_s, estimate);
         }
-        if reading.gap {
-            self.history.gap();
+        let step_s = self.last_s.replace(t_s).map_or(0.0, |last| t_s - last);
+        if reading.gap || estimate.is_none() {
+            self.segments.gap();
         }
-        let segment = self.history.row(t_s, estimate.as_ref(), on_object, base, base_mm_s);
+        let segment = estimate.as_ref().and_then(|e| {
+            let step_mm = base_mm_s.unwrap_or(0.0) * step_s;
+            self.segments.push(t_s, e.probability, e.place_mm, e.covariance_mm2, step_mm)
+        });
         let flags = reading.flags.with(contact.flags);
         let object_mm =
             self.object.as_ref().zip(estimate).zip(base).map(|((object, e), base)| {
@@ -167,11 +173,6 @@ impl<'a> WhiskerTrack<'a> {
         MeshScore::new(self.distances_mm.clone())
     }
 
-    /// Contact intervals and cloud.
-    pub fn history(&self) -> &ContactHistory {
-        &self.history
-    }
-
     /// Name among several, or empty.
     pub fn name(&self) -> &str {
         &self.facts.name
@@ -195,7 +196,7 @@ impl<'a> WhiskerTrack<'a> {
             outside_valid_region: self.outside,
             doubts: self.facts.doubts.clone(),
             calibration_sha256: self.facts.calibration_sha256.clone(),
-            segments: self.followed.then(|| self.history.segments().to_vec()),
+            segments: self.followed.then(|| self.segments.all()),
             known_groove: groove.and_then(KnownGroove::score),
             end_rmse_mm,
             estimator: found.document,

@@ -72,6 +72,7 @@ impl Zero {
             return Moments { zero_nmm2, ..m };
         }
         let moment_nmm = (Vector2::from(m.moment_nmm) - self.sum_nmm / self.count).into();
+        // An error that all readings share cancels as far as the free ones have it, too.
         let less = |(h, sum): (&[f64; 2], &Vector2<f64>)| (Vector2::from(*h) - sum / self.count).into();
         let shared_nmm: Vec<[f64; 2]> = m.shared_nmm.iter().zip(&self.shared_nmm).map(less).collect();
         let zero_nmm2 = m.own_nmm2.unwrap_or(m.pose_nmm2) / self.count + m.drift_nmm2 * 2.0;
@@ -125,6 +126,7 @@ pub fn beginning(readings: &[Reading], zero_known: bool) -> FreeStart {
     if zero_known && mean.norm() > (ZERO_SDS * (m.pose_nmm2.trace() + shared).sqrt()).max(limit) {
         return FreeStart::Loaded(mean.norm());
     }
+    // Sample covariance; the mean takes one degree of freedom.
     let spread: Matrix2<f64> = (0..free).map(|k| (at(k) - mean) * (at(k) - mean).transpose()).sum();
     let floor = Matrix2::identity() * MIN_NOISE_NMM * MIN_NOISE_NMM;
     let noise_nmm2 = spread / (free - 1) as f64 + floor;

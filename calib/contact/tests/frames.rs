@@ -10,7 +10,6 @@ use wcal_contact::known_motion::{Friction, MomentField, MotionUnknown};
 use wcal_contact::known_motion_stream::KnownMotionStream;
 use wcal_contact::known_motion_table::KnownMotionTable;
 use wcal_contact::reading::{Moments, MotionAccuracy, Reading, RowMotion};
-use wcal_contact::static_arc::StaticArc;
 use wcal_contact::track_table::TrackRow;
 use wcal_contact::whisker_track::{WhiskerFacts, WhiskerTrack};
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
@@ -90,8 +89,7 @@ impl Session {
         let wire = CalibratedWire::of_rod(Rod::new(&whisker, 0.5).unwrap(), whisker.diameter_mm);
         let estimator: Box<dyn Estimator> = match which {
             0 => Box::new(KnownMotionTable::new(wire, ACCURACY, false).unwrap()),
-            1 => Box::new(KnownMotionStream::new(wire, ACCURACY, false)),
-            _ => Box::new(StaticArc::new(wire)),
+            _ => Box::new(KnownMotionStream::new(wire, ACCURACY, false)),
         };
         let mut track = WhiskerTrack::new(WhiskerFacts::default(), (frame, estimator), 0.0, true);
         let mut rows = Vec::new();

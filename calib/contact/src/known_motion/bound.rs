@@ -35,6 +35,7 @@ pub fn bound_mm2(
     let Some((slopes, covariance)) = slopes(&path, truth).zip(covariance(&path, settings, truth)) else {
         return Ok(None);
     };
+    // Fisher information of Gaussian readings, G' S^-1 G.
     let mut information = slopes.tr_mul(&covariance.cholesky().ok_or_else(fails)?.solve(&slopes));
     information[(2, 2)] += 1.0 / settings.gap_sd_mm.powi(2);
     // The uniform priors of arc length and onset as Gaussians of variance L^2 / 12.
@@ -91,6 +92,7 @@ fn covariance(path: &ContactPath<'_>, settings: &Settings, state: &State) -> Opt
         for (j, by) in row.shared_nmm.iter().enumerate() {
             column.set_column(j, &Vector2::from(*by));
         }
+        // A free wire shows neither place nor motion.
         if path.held(state, k) {
             // Errors of the displacement enter through dm/dP.
             let (here, rate) = path.field.held_and_rate(&path.place(state, k)?, 0.0)?;

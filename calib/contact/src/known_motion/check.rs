@@ -54,6 +54,7 @@ impl Innovations {
 
 /// Whether a chi-squared is too large for its degrees of freedom.
 fn too_large(chi2: f64, dof: f64) -> bool {
+    // Innovations of a right model are white with covariance S, so that their sum of squares is chi-squared.
     let chance = ChiSquared::new(dof.max(1.0)).map_or(1.0, |c| c.sf(chi2));
     !chi2.is_finite() || chance < LEVEL && chi2 > RATIO * dof
 }

@@ -48,6 +48,7 @@ pub struct ContactPath<'a> {
 /// Whether a reading is loaded beyond its noise.
 pub(crate) fn loaded(row: &MotionRow) -> bool {
     let shared = || row.shared_nmm.iter().map(|h| h[0] * h[0] + h[1] * h[1]).sum::<f64>();
+    // What a free wire would show: noise and the common errors at no load.
     let variance = row.free_nmm2.map_or_else(|| row.noise_nmm2.trace() + shared(), |free| free.trace());
     let sd = variance.max(0.0).sqrt();
     !row.free && row.moment_nmm[0].hypot(row.moment_nmm[1]) > LOADED_SDS * sd
@@ -149,6 +150,7 @@ impl<'a> ContactPath<'a> {
 
     /// Displacement along the push past first touch, mm.
     pub(crate) fn depth(&self, state: &State, row: usize) -> Option<f64> {
+        // The point goes along the push; it holds the wire from first touch on.
         let (touch, _) = self.touch(state)?;
         Some((self.place(state, row)? - touch).dot(&self.push))
     }

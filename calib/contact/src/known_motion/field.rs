@@ -172,6 +172,7 @@ impl MomentField {
     /// The values at a place under every ratio.
     pub(crate) fn at_place(&self, place_mm: &Vector3<f64>) -> Option<InterpolatedField<'_>> {
         let (cell, [x, y, z]) = self.around(place_mm)?;
+        // A tensor product: the cubic in each coordinate.
         let [wx, wy, wz] = [x, y, z].map(cubic);
         let ratios = cell.len() / 64;
         let mut sums = [[0.0; 3]; 3];
@@ -258,6 +259,7 @@ impl MomentField {
         if mu <= 0.0 {
             return [1.0, 0.0, 0.0];
         }
+        // Lagrange's parabola through -mu, 0 and mu.
         let v = (ratio / mu).clamp(-1.0, 1.0);
         [0.5 * v * (v - 1.0), 1.0 - v * v, 0.5 * v * (v + 1.0)]
     }

@@ -215,6 +215,7 @@ impl MotionLog {
     fn on(&self, k: usize, t_s: f64, point_mm: &Vector3<f64>) -> Motion {
         let (a, b) = (&self.rows[k], &self.rows[k + 1]);
         let dt_s = b.t_s - a.t_s;
+        // A screw at constant rate in between.
         let u = (t_s - a.t_s) / dt_s;
         let turn = a.turn.slerp(&b.turn, u);
         let moved_mm = a.moved_mm + (b.moved_mm - a.moved_mm) * u;

@@ -88,6 +88,7 @@ impl Posterior {
         let mix = |p: f64, q: f64| p + (q - p) * u;
         let mean = Vector2::new(mix(a.state.onset_mm, b.state.onset_mm), mix(a.state.gap_mm, b.state.gap_mm));
         let covariance = a.covariance_mm2 * (1.0 - u) + b.covariance_mm2 * u;
+        // A normal density in onset and gap, its peak by the mass over the arc length.
         let off = Vector2::new(state.onset_mm, state.gap_mm) - mean;
         let Some(inverse) = covariance.try_inverse() else { return 0.0 };
         mix(peak(a).max(1e-300).ln(), peak(b).max(1e-300).ln()).exp()
@@ -137,6 +138,7 @@ impl Posterior {
             }
             mean += at * n.mass;
             square += (covariance + at * at.transpose()) * n.mass;
+            // Held where the point is past first touch: the share of the onset's normal distribution.
             let sd = n.covariance_mm2[(0, 0)].max(1e-18).sqrt();
             let past = (at - touch).dot(&path.push) / sd;
             contact += n.mass * if path.rows[row].free { 0.0 } else { normal_share(past) };

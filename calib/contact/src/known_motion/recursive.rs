@@ -279,6 +279,7 @@ impl RecursivePosterior {
     /// Innovations so far, at the node of highest density.
     pub fn innovations(&self) -> Innovations {
         let rows = self.readings;
+        // Two moments a reading, three numbers fitted.
         let dof = (2.0 * rows as f64 - 3.0).max(1.0);
         self.best().map_or(Innovations::unexplained(rows), |n| Innovations {
             plain: n.chi2[0],
@@ -291,6 +292,7 @@ impl RecursivePosterior {
 
     /// ln p(y_1 .. y_n), natural units of 1/(N mm)^2 a reading: the integral over the wire, on which s is uniform.
     pub fn ln_evidence(&self, field: &MomentField) -> f64 {
+        // Trapezoids over s, on which the prior is uniform.
         let width = |w: &[NodeFilter]| 0.5 * (w[0].ln.exp() + w[1].ln.exp()) * (w[1].s_mm - w[0].s_mm);
         let mass = self.nodes.windows(2).map(width).sum::<f64>().max(MIN_STEP_MM);
         match self.nodes.is_empty() {

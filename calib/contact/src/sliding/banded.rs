@@ -130,6 +130,7 @@ impl Normal {
         for mut column in made.solved.column_iter_mut() {
             made.band.solve(column.as_mut_slice(), 0);
         }
+        // Schur's complement of the chain: what the common unknowns know once it is eliminated.
         let mut corner = &self.corner - self.border.tr_mul(&made.solved);
         (0..corner.nrows()).for_each(|k| corner[(k, k)] += damping * self.corner[(k, k)] + 1e-12);
         made.corner = corner.try_inverse()?;
@@ -168,6 +169,7 @@ impl Factored {
             self.band.solve(&mut unit, from);
             all.column_mut(k).copy_from_slice(&unit[from..from + count]);
         }
+        // The chain's own covariance, and what the common unknowns add.
         let share = self.solved.rows(from, count);
         all + share * &self.corner * share.transpose()
     }

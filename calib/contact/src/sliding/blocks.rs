@@ -39,6 +39,7 @@ impl Means {
     /// The moments at the blocks' mean places.
     pub fn at_middles(&self) -> Vec<MotionRow> {
         let rows = &self.rows;
+        // Second divided difference over three blocks of unequal steps.
         let second = |k: usize| -> Option<[f64; 2]> {
             let [a, b, c] = rows.get(k.checked_sub(1)?..k + 2)? else { return None };
             let [before, after] = [(a, b), (b, c)].map(|(a, b)| (b.moved_mm - a.moved_mm).norm().max(1e-9));

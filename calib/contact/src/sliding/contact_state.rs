@@ -135,6 +135,7 @@ impl TouchedWire {
         let off = link - j as f64 - 0.5;
         let joint = if off < 0.0 { j } else { (j + 1).min(self.rod.links() - 1) };
         let smooth = Rotation3::from_scaled_axis(self.rest[joint] * off);
+        // Beyond the contact the wire is free: its equilibrium follows from the force inward.
         let load = self.rod.under_point_load(s, &(smooth * ((n + u * a + b * c) * f)));
         let frame = load.frame * smooth.matrix();
         let m = self.axes.components_nmm(&load.moment_nmm);
@@ -189,6 +190,7 @@ impl TouchedWire {
                 other[k] += h;
                 (self.show(&other).moment_nmm() - y) / h
             };
+            // Newton's step in force and azimuth, by forward differences.
             let j = Matrix2::from_columns(&[by(1, 1e-4 * x[1].abs().max(1e-4)), by(2, 1e-5)]);
             let step = j.try_inverse()? * off;
             let cut = (step[0].abs() / (0.5 * x[1].abs().max(1e-4))).max(step[1].abs() / 0.5).max(1.0);

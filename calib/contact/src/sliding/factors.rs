@@ -208,6 +208,7 @@ impl<'a> Chain<'a> {
             }
             Kind::Surface => {
                 let before = &all[0];
+                // A step on a surface lies in its tangent plane: exact for an arc with the mean of both normals.
                 let step = here.y.point_mm() - before.y.point_mm();
                 let turned = (here.y.normal() - before.y.normal()).norm();
                 let off = step.dot(&(here.y.normal() + before.y.normal())) * 0.5;
@@ -220,6 +221,7 @@ impl<'a> Chain<'a> {
                 Vector2::new(off / sd, leap.max(0.0) / LEAP_MM)
             }
             Kind::Friction => {
+                // Coulomb: friction opposes the slip, with mu times the normal force once it slips.
                 let acting = Vector2::new(here.x[3], here.x[4]);
                 let pull = match all {
                     [before, here] if self.by_slip => self.friction_of(before, here),
@@ -229,6 +231,7 @@ impl<'a> Chain<'a> {
             }
             Kind::SlipRate => {
                 let dt = |n: usize| (self.rows[n].t_s - self.rows[n - 1].t_s).max(1e-9);
+                // Equal rates of slip in a row, to what the motion's step allows.
                 let [a, b] = [all[1].x[0] - all[0].x[0], all[2].x[0] - all[1].x[0]];
                 let sd = SLIP_SHARE * self.step_mm[k] + SLIP_MM;
                 single((b - a * dt(k) / dt(k - 1)) / sd)
@@ -247,6 +250,7 @@ impl<'a> Chain<'a> {
     pub fn jump_n(&self, k: usize) -> f64 {
         let row = &self.rows[k];
         let noise = (row.noise_nmm2.trace() / 2.0).sqrt();
+        // Cantilever: F = 3 E I d / s^3 for a step d, and noise over the lever.
         let s = 0.3 * self.wire.length_mm;
         3.0 * self.wire.ei_nmm2 / s.powi(3) * self.step_mm[k] + 8.0 * noise / s
     }
@@ -258,6 +262,7 @@ impl<'a> Chain<'a> {
         light[1] = 0.0;
         let row = &self.rows[k];
         let free = self.wire.show(&light).on_object(&row.turn, &row.moved_mm);
+        // A cantilever loaded at s deflects there by m s^2 / (3 E I): noise hides as much.
         let hidden = 4.0 * (row.noise_nmm2.trace() / 2.0).sqrt() * y.arclength_mm().powi(2)
             / (3.0 * self.wire.ei_nmm2);
         let step = self.step_mm.get(k.max(1)).copied().unwrap_or(0.0);
@@ -284,6 +289,7 @@ impl<'a> Chain<'a> {
     fn sum(&self, kind: Kind, all: &[Local], c: &DVector<f64>) -> f64 {
         let one = |k: usize| {
             let r2 = self.residual(kind, k, &all[self.readings(kind, k)?], c).norm_squared();
+            // Student: minus twice the logarithm of the density.
             Some(self.tails(kind).map_or(r2, |nu| (nu + 1.0) * (r2 / nu).ln_1p()))
         };
         (0..all.len()).filter_map(one).sum()

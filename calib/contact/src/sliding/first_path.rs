@@ -79,6 +79,7 @@ fn start_cost(chain: &Chain<'_>, contact: Option<&(State, ContactQuantities)>) -
 /// Standard deviation of each node of a reading across the surface: noise by compliance, and half the distance of two nodes along the normal.
 fn spreads(chain: &Chain<'_>, solved: &[Vec<Candidate>], k: usize) -> Vec<f64> {
     let n = solved[k].len();
+    // Compliance of a cantilever, s^2 / (3 E I) of displacement for a moment.
     let of = |i: usize| -> f64 {
         let Some((x, y)) = &solved[k][i] else { return f64::INFINITY };
         let noise = (chain.rows[k].noise_nmm2.trace() / 2.0).sqrt() * y.arclength_mm().powi(2)
@@ -121,6 +122,7 @@ fn steps(chain: &Chain<'_>, solved: &[Vec<Candidate>], k: usize, spreads: [&[f64
                 continue;
             }
             let off = (y.point_mm() - y0.point_mm()).dot(&(y.normal() + y0.normal())) * 0.5;
+            // Errors of both places across the surface add.
             let variance = STEP_SD_MM.powi(2) + spreads[0][j].powi(2) + spreads[1][i].powi(2);
             let cost = 5.0 * (off * off / variance / 4.0).ln_1p() + (dq / slip).powi(2);
             steps.push(Step { to: i, from: j, cost });

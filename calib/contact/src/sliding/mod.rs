@@ -370,6 +370,7 @@ fn place(each: &[(f64, BlockPosterior)], row: &MotionRow, lost_mm2: f64) -> Epis
     else {
         return free();
     };
+    // Independent of the hypotheses: what the model leaves out, and a uniform share of the wire (variance L^2 / 12).
     let covariance = covariance + Matrix3::identity() * (MODEL_SD_MM * MODEL_SD_MM + lost_mm2);
     let turn = row.turn.matrix();
     EpisodeContact {
@@ -387,6 +388,7 @@ fn arc(each: &[(f64, BlockPosterior)], length_mm: f64, lost: f64) -> ArcDensity 
     let places: Vec<f64> = (0..=count).map(at).collect();
     let mut masses = vec![0.0; places.len()];
     for (w, b) in each {
+        // Mass of a cell: difference of the normal distribution function at its ends.
         let sd = b.sd_mm.hypot(MODEL_SD_MM);
         let mut last = 0.0;
         for (k, mass) in masses.iter_mut().enumerate() {

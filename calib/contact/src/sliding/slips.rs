@@ -24,6 +24,7 @@ pub(super) fn parts(rows: &[MotionRow], leap: f64) -> Vec<Range<usize>> {
         let noise = rows[k].noise_nmm2.trace().sqrt();
         // A slip to the side leaps in one moment alone.
         (0..2).any(|c| {
+            // The median of the steps around is no leap, even beside one.
             let mut around: Vec<f64> = (from..to).filter(|j| *j != k).map(|j| step(j, c)).collect();
             around.sort_by(f64::total_cmp);
             step(k, c) > leap * (around[around.len() / 2] + noise)

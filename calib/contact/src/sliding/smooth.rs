@@ -67,6 +67,7 @@ pub(super) fn descend(
     for _ in 0..MAX_STEPS {
         let normal = chain.linearise(&here.x, &here.common, Common::Held, &KINDS);
         let better = loop {
+            // Levenberg and Marquardt: more damping until the sum falls, less after it has.
             if let Some(factored) = normal.factor(damping) {
                 let (dx, dc) = normal.step(&factored);
                 let moved = |(k, x): (usize, &State)| x + dx.fixed_rows::<STATE>(STATE * k);
@@ -117,6 +118,7 @@ pub(super) fn ln_evidence(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
         Some((normal.factor(0.0)?, normal))
     };
     let ((with, normal), (prior, _)) = (factored(&KINDS)?, factored(&KINDS[1..])?);
+    // Laplace: the posterior's volume over the prior's, by their curvatures.
     let occam = 0.5 * (prior.ln_determinant() - with.ln_determinant());
     let turning: f64 = turns.iter().map(|turn2| (TURN_TAILS + 1.0) * (turn2 / TURN_TAILS).ln_1p()).sum();
     Some(chain.ln_densities() - 0.5 * (found.cost + turning - normal.gain(&with)) + occam)
@@ -135,6 +137,7 @@ pub(super) fn posterior(
         let own = SMatrix::<f64, STATE, STATE>::from_fn(|i, j| own[(i, j)]);
         let axis_mm = chain.wire.axis_mm(&y);
         let radius_mm = (axis_mm - y.point_mm()).norm();
+        // Error propagation from the state to the axis: point and normal times the radius.
         let by_state = rates.fixed_rows::<3>(2) + rates.fixed_rows::<3>(5) * radius_mm;
         let back = chain.rows[k].turn.inverse();
         let turn = back.matrix();

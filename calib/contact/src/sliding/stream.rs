@@ -65,6 +65,7 @@ impl SlidingStream {
         let [.., a, b] = &self.blocks.means.rows[..self.solved] else { return None };
         // As far as the object has gone on since.
         let step = b.moved_mm - a.moved_mm;
+        // Projection on the last step of the motion.
         let share = (row.moved_mm - a.moved_mm).dot(&step) / step.norm_squared().max(1e-12);
         let best = self.paths.iter().map(|p| p.hypothesis.cost).fold(f64::INFINITY, f64::min);
         let weight = |p: &Path| (-DISCOUNT * (p.hypothesis.cost - best)).exp();

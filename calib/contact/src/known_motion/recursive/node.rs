@@ -200,6 +200,7 @@ impl NodeFilter {
 
     /// The mixture of this Gaussian and another as one of the same mean and covariance.
     fn join(&mut self, other: Self) {
+        // Moments of a mixture of two: mean, and covariance with the spread of the means.
         let larger = self.ln.max(other.ln);
         let ln = larger + ((self.ln - larger).exp() + (other.ln - larger).exp()).ln();
         let [a, b] = [self.ln, other.ln].map(|l| (l - ln).exp());
@@ -340,6 +341,7 @@ impl NodeFilter {
         self.mean.rows_mut(at, 2).scale_mut(rho);
         self.covariance.rows_mut(at, 2).scale_mut(rho);
         self.covariance.columns_mut(at, 2).scale_mut(rho);
+        // A first-order Gauss-Markov process keeps its variance: what is forgotten is drawn anew.
         let mut block = self.covariance.fixed_view_mut::<2, 2>(at, at);
         block += correlated * (1.0 - rho * rho);
     }
@@ -367,6 +369,7 @@ impl NodeFilter {
             let (Some(inverse), Some(inverse_noisy)) = (regular.try_inverse(), noisy.try_inverse()) else {
                 return self.unexplained();
             };
+            // Mahalanobis distances of the innovation as a regular reading and as a noisy one.
             let squared = innovation.dot(&(inverse * innovation));
             let squared_noisy = innovation.dot(&(inverse_noisy * innovation));
             let ln_share = share.max(1e-300).ln();

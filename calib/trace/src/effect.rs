@@ -147,6 +147,11 @@ impl<'a> Values<'a> {
         at.and_then(|k| self.values.get(k)).copied().unwrap_or(f64::NAN)
     }
 
+    /// How many columns of its own the law has.
+    pub fn linear(&self) -> usize {
+        self.law.linear.len()
+    }
+
     /// All values in the order of the law's parameters.
     pub fn all(&self) -> &'a [f64] {
         self.values

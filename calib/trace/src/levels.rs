@@ -55,6 +55,8 @@ pub const WITHIN_STRATA: f64 = 1e-4;
 pub const BETWEEN_STRATA: f64 = 0.01;
 /// What chance gives once in a thousand sessions is no sensitivity.
 pub const NO_SENSITIVITY: f64 = 1e-3;
+/// A slope that is significant at the usual level is there, however weak.
+pub const NO_SLOPE: f64 = 0.05;
 /// What a part of the noise has to gain by chance.
 pub const NOISE_PART: f64 = 0.003;
 /// What a remark needs; it changes nothing.

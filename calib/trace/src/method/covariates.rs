@@ -142,12 +142,15 @@ const RIPPLE_HALF_CYCLES: u32 = 48;
 /// Most cycles over a column's range that are tried.
 const MAX_CYCLES: f64 = 30.0;
 
+/// Fewer places than this do not show a wave: amplitude, phase and period are chosen on them.
+const MIN_PLACES: usize = 12;
+
 /// Cycles over the range of a column (values from 0 to 1) at which waves are tried: half cycles, so that neighbouring frequencies are still half
 /// in step, up to the Nyquist limit of its places. Of uneven places that is the mean limit, (places - 1) / 2 cycles: beyond it a wave is told
 /// from its aliases by the unevenness alone.
 fn waves(unit: &[f64]) -> impl Iterator<Item = f64> {
     let last = settings(unit).into_iter().max().unwrap_or(0);
-    let limit = MAX_CYCLES.min(0.5 * last as f64);
+    let limit = if last + 1 < MIN_PLACES { 0.0 } else { MAX_CYCLES.min(0.5 * last as f64) };
     (3..).map(|half| 0.5 * f64::from(half)).take_while(move |cycles| *cycles <= limit)
 }
 

@@ -123,7 +123,7 @@ fn refine(system: &dyn MeasurementModel, base: &Hypothesis, from: &Hypothesis) -
 /// Places to start from: the amplitude shared out, shapes from their grids in rising order.
 fn starts(law: &EffectModel, term: &EffectTerm) -> Vec<Vec<f64>> {
     let amplitudes = law.parameters.iter().filter(|p| matches!(p.role, Role::Amplitude { .. })).count();
-    let share = term.values[0] / amplitudes.max(1) as f64;
+    let share = term.values.first().map_or(0.0, |size| size / amplitudes.max(1) as f64);
     let mut all: Vec<Vec<f64>> = vec![Vec::new()];
     let mut highest: Vec<f64> = vec![f64::NEG_INFINITY];
     for p in &law.parameters {

@@ -340,6 +340,9 @@ impl<'a, M: SessionModel> Facts<'a, M> {
                     let all = std::iter::once(&found.best).chain(&self.rivals);
                     names = all.map(|h| laws(model, h).join(" with ")).collect();
                 }
+                if self.rivals.iter().any(|h| ids(model, h).is_empty()) {
+                    names.push("nothing but noise that neighbours share".to_owned());
+                }
                 let names = names.join("; ");
                 format!("The data show an unmodelled effect; these explanations remain: {names}.")
             }

@@ -2,6 +2,7 @@
 
 use super::error_summary::{coverage95, rmse, summarise};
 use super::session_model::{Folds, HeldOut, SessionModel};
+use crate::levels::PRICE;
 use crate::method::fit::{Fit, Weights, fit};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::linear::{Basis, stack_with};
@@ -210,13 +211,22 @@ impl<M: SessionModel> LeaveOut<'_, M> {
             let scale = (&self.found.base.fit, self.found.best.fit.variance());
             let h = select_in_fold(rivals, scale, &Weights::independent(outside)).unwrap_or(start);
             // Readings that the accepted model flags are in no fit: before and after stand on the same rows.
-            let weights = h.weights.masked(|i| !inside(i) && counts(i));
+            let kept = |h: &Hypothesis| h.weights.masked(|i| !inside(i) && counts(i));
+            let refit = |h: &Hypothesis| {
+                let weights = kept(h);
+                let fit = fit(model, &h.fit.terms, &weights, self.folds.refit_steps)?;
+                Some(Hypothesis { fit, weights, ..h.clone() })
+            };
+            let cost = |h: &Hypothesis| h.aic(scale.0, scale.1);
             let predictions = if by_twin {
-                model.predict_by_labels(&weights)
+                model.predict_by_labels(&kept(h))
             } else {
-                fit(model, &h.fit.terms, &weights, self.folds.refit_steps).and_then(|refit| {
-                    model.predict(&Hypothesis { fit: refit, weights: weights.clone(), ..h.clone() }, &sd)
-                })
+                // What tangents promise far from their point a refit need not keep; of two that fit alike the accepted one stands. Where each term was judged over
+                // groups by its tangents already, they choose here, too.
+                let by_refit = h.fit.terms != start.fit.terms && !model.cross_validates_terms();
+                let accepted = by_refit.then(|| refit(start)).flatten();
+                let chosen = refit(h).filter(|h| accepted.as_ref().is_none_or(|a| cost(h) + PRICE < cost(a)));
+                chosen.or(accepted).and_then(|refitted| model.predict(&refitted, &sd))
             };
             let rows = (0..fold.len()).filter(|&i| inside(i) && (self.every || counts(i)));
             predictions.map_or(Vec::new(), |p| {

@@ -32,6 +32,7 @@ fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Options) -
 
 mod engine_stages;
 mod reference_noise;
+mod scalar_bends;
 mod scalar_cells;
 mod scalar_inputs;
 mod scalar_measured;

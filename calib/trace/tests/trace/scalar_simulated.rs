@@ -406,6 +406,11 @@ fn poor_data_are_refused_or_narrowed() {
     for r in &mut data.rows {
         (r.t_s, r.temperature_degc, r.direction) = (None, None, None);
     }
+    // In the order of strokes the rows themselves tell the direction.
+    let strokes = run(ScalarData::Transducer(&data), 1);
+    assert!(strokes.document.detectable.iter().any(|d| d.id == "hysteresis" && d.status == "testable"));
+    assert!(strokes.document.notes.iter().any(|n| n.contains("order of the readings")));
+    data.rows = (0..40).map(|k| data.rows[k * 7 % 40].clone()).collect();
     let narrow = run(ScalarData::Transducer(&data), 1);
     for id in ["hysteresis", "backlash", "temperature", "lag", "creep"] {
         let row = narrow.document.detectable.iter().find(|d| d.id == id).unwrap();

@@ -170,7 +170,7 @@ impl ScalarSystem {
             if let Some(plainer) = self.not_told_from(&terms, term, h) {
                 return why(format!("on this range it cannot be distinguished from {plainer}"));
             }
-            if self.spans_too_few_periods(&terms, term, h) {
+            if !term.values.is_empty() && self.spans_too_few_periods(&terms, term, h) {
                 return why("a bend of fewer periods describes the readings as well".to_owned());
             }
             if let Some(strata) = &strata
@@ -218,6 +218,7 @@ impl ScalarSystem {
     /// number of places make of a slow bend over time a fast wave over the stimulus.
     fn spans_too_few_periods(&self, others: &[EffectTerm], term: &EffectTerm, h: &Hypothesis) -> bool {
         let effect = &self.effects()[term.effect];
+        let shaped = |law: usize| effect.effect.laws[law].parameters.len() == 1;
         let better = |law: usize, shape: f64| {
             let other = EffectTerm { effect: term.effect, law, values: vec![shape] };
             let terms: Vec<EffectTerm> = others.iter().cloned().chain([other]).collect();
@@ -226,7 +227,7 @@ impl ScalarSystem {
         effect
             .spans_too_few_periods
             .iter()
-            .any(|shape| (0..effect.effect.laws.len()).any(|law| better(law, *shape)))
+            .any(|shape| (0..effect.effect.laws.len()).any(|law| shaped(law) && better(law, *shape)))
     }
 
     /// Strata of the design; none where no cell is repeated.

@@ -7,7 +7,8 @@
 //!
 //! with C the covariance of a set's readings in units of the repeat noise s^2 (`method::noise::whitening`).
 
-use super::frame::{Frame, ways};
+use super::frame::Frame;
+use super::sequence::ways;
 use super::system::ScalarSystem;
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;

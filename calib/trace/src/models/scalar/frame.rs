@@ -1,9 +1,11 @@
 //! The rows of a transducer or axis session in the order in which they were taken, with normalised covariates.
 
+use super::sequence::{MIN_EACH_WAY, directions, groups, series, sorted_with_repetitions};
+use super::stimulus_scale::{absolute_zero, full_turn, wraps};
 use crate::method::settings::{means, reliability, settings};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::cmp::Ordering;
+use std::collections::BTreeSet;
 use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::{Sealed, SealedRows};
 
@@ -186,6 +188,18 @@ pub struct Scaling {
     /// Places of an axis that were all read more than once, rising, as commanded: those of a table of errors.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub places: Vec<f64>,
+    /// A full turn in the stimulus's unit, where the readings go around: its two ends are one place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turn: Option<f64>,
+    /// Absolute zero in the stimulus's unit, where that is one of temperature.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub absolute_zero: Option<f64>,
+    /// Where a count starts again, rising: between two places of the stimulus.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub wraps: Vec<f64>,
+    /// Series that can each have a zero of their own.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub series: Vec<u32>,
 }
 
 /// Rows and normalised covariates, in the order of the measurement.
@@ -225,20 +239,11 @@ pub struct Frame {
     pub new_rows: bool,
 }
 
-/// A table sorted by the stimulus with its repetitions side by side was put in order afterwards, or might have been: where a reading
-/// stands among its repetitions then says nothing of when it was taken.
-fn sorted_with_repetitions(setting: &[usize]) -> bool {
-    let rises = setting.windows(2).all(|p| p[1] >= p[0]);
-    let falls = setting.windows(2).all(|p| p[1] <= p[0]);
-    let level = rises && falls;
-    (rises || falls) && !level && setting.windows(2).any(|p| p[1] == p[0])
-}
-
-fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
+pub(super) fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)])
 }
 
-fn all<T: Copy>(rows: &[ScalarRow], f: impl Fn(&ScalarRow) -> Option<T>) -> Option<Vec<T>> {
+pub(super) fn all<T: Copy>(rows: &[ScalarRow], f: impl Fn(&ScalarRow) -> Option<T>) -> Option<Vec<T>> {
     rows.iter().map(f).collect()
 }
 
@@ -267,6 +272,10 @@ impl Scaling {
             count: rows.len(),
             unreliability: 0.0,
             places: Vec::new(),
+            turn: None,
+            absolute_zero: None,
+            wraps: Vec::new(),
+            series: series(rows),
         }
     }
 
@@ -276,6 +285,14 @@ impl Scaling {
         let [x, y] =
             [|r: &ScalarRow| r.x, |r: &ScalarRow| r.y].map(|f| rows.iter().map(f).collect::<Vec<f64>>());
         Self { unreliability: 1.0 - reliability(&settings(&x), &x, &y), ..self }
+    }
+
+    /// The same with what the unit of the stimulus says of it, and where a count starts again.
+    pub fn of_transducer(self, rows: &[ScalarRow], unit: &str) -> Self {
+        let x: Vec<f64> = rows.iter().map(|r| r.x).collect();
+        let levels = settings(&x).into_iter().max().map_or(0, |last| last + 1);
+        let turn = full_turn(unit, 2.0 * self.half, levels);
+        Self { turn, absolute_zero: absolute_zero(unit), wraps: wraps(rows), ..self }
     }
 
     /// The same with the places of an axis.
@@ -292,57 +309,12 @@ impl Scaling {
 /// A table of more places is a list of readings.
 const MAX_PLACES: usize = 100;
 
-/// Directions are usable where each occurs this often.
-const MIN_EACH_WAY: usize = 3;
-
-/// Given directions, or those of the sequence where time or cycles attest it.
-fn directions(rows: &[ScalarRow], setting: &[usize], least: usize) -> Option<Vec<f64>> {
-    let found = match all(rows, |r| r.direction) {
-        Some(given) => given,
-        None if rows.iter().all(|r| r.t_s.is_some()) => {
-            let mut out = vec![0.0; rows.len()];
-            for k in 1..rows.len() {
-                out[k] = match setting[k].cmp(&setting[k - 1]) {
-                    Ordering::Equal => out[k - 1],
-                    Ordering::Greater => 1.0,
-                    Ordering::Less => -1.0,
-                };
-            }
-            let first = out.iter().copied().find(|d| *d != 0.0).unwrap_or(1.0);
-            out.iter().map(|d| if *d == 0.0 { first } else { *d }).collect()
-        }
-        None if rows.iter().all(|r| r.cycle.is_some()) && !sorted_with_repetitions(setting) => ways(setting),
-        None => return None,
-    };
-    let up = found.iter().filter(|d| **d > 0.0).count();
-    (up >= least && found.len() - up >= least).then_some(found)
-}
-
-/// Way of the stimulus at each row, by the order of the table: a place that is read twice at a turn is read once on either way.
-pub fn ways(setting: &[usize]) -> Vec<f64> {
-    let step = |k: usize| setting.get(k + 1).map_or(0.0, |next| *next as f64 - setting[k] as f64);
-    let mut out = vec![0.0; setting.len()];
-    for k in (0..setting.len()).rev() {
-        let before = if k > 0 { step(k - 1) } else { 0.0 };
-        let ahead = if step(k) != 0.0 { step(k).signum() } else { out.get(k + 1).copied().unwrap_or(0.0) };
-        out[k] = if before != 0.0 { before.signum() } else { ahead };
-    }
-    out
-}
-
-/// Cycles or replicates that are runs over several stimuli; else one group.
-fn groups(rows: &[ScalarRow]) -> Vec<u32> {
-    let Some(cycles) = all(rows, |r| r.cycle) else { return vec![0; rows.len()] };
-    let run = |c: u32| {
-        let [lo, hi] = range(rows.iter().zip(&cycles).filter(|(_, k)| **k == c).map(|(r, _)| r.x));
-        hi > lo
-    };
-    let mut distinct = cycles.clone();
-    distinct.sort_unstable();
-    distinct.dedup();
-    if distinct.len() > 1 && distinct.iter().all(|c| run(*c)) { cycles } else { vec![0; rows.len()] }
-}
-
+/// Mean direction of a series that goes one way.
+const ONE_WAY: f64 = 0.5;
+/// Stimulus from which on a first reading is a loaded one, in half ranges.
+const LOADED: f64 = 0.1;
+/// A first reading later than this part of the record says nothing of what was before it.
+const SOON: f64 = 0.1;
 impl Frame {
     /// Frame of `rows`, normalised by `scaling`.
     pub fn new(rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared) -> Self {
@@ -408,6 +380,48 @@ impl Frame {
     /// The declared model has a term in the stimulus, so an effect may act on the stimulus.
     pub fn sloped(&self) -> bool {
         self.declared != Declared::Polynomial(0)
+    }
+
+    /// The stimulus goes around once: its ends are one place, and nothing bends along it.
+    pub fn cyclic(&self) -> bool {
+        // A hair more than a turn is one, too.
+        self.scaling.turn.is_some_and(|turn| 2.0 * self.scaling.half < 1.001 * turn)
+    }
+
+    /// The stimulus only rises, or only falls, from reading to reading: the clock and the stimulus are one line, and what follows one follows the other.
+    pub fn swept_once(&self) -> bool {
+        let steps = || self.u.windows(2).map(|p| p[1] - p[0]);
+        !self.counts_readings && self.u.len() > 2 && (steps().all(|d| d > 0.0) || steps().all(|d| d < 0.0))
+    }
+
+    /// Each series goes one way, and both ways occur.
+    pub fn strokes_are_series(&self) -> bool {
+        let Some(direction) = &self.direction else { return false };
+        let mean_way = |s: &u32| {
+            let own = direction.iter().zip(&self.groups).filter(|(_, g)| *g == s);
+            let (sum, count) = own.fold((0.0, 0.0), |(sum, count), (d, _)| (sum + d, count + 1.0));
+            sum / f64::max(count, 1.0)
+        };
+        let ways: Vec<f64> = self.scaling.series.iter().map(mean_way).collect();
+        // The reading at the turn may count for the stroke before.
+        ways.iter().all(|w| w.abs() > ONE_WAY) && ways.windows(2).any(|w| w[0] * w[1] < 0.0)
+    }
+
+    /// Settings enough were read on either way: a loop is a difference at equal stimuli.
+    pub fn read_both_ways(&self) -> bool {
+        let Some(direction) = &self.direction else { return false };
+        let of = |way: f64| -> BTreeSet<usize> {
+            (0..direction.len()).filter(|&i| direction[i] * way > 0.0).map(|i| self.setting[i]).collect()
+        };
+        of(1.0).intersection(&of(-1.0)).count() >= MIN_EACH_WAY
+    }
+
+    /// Durations from when the load was put on to the first reading: from t_s = 0 where that is shortly before. None where the record begins without a load.
+    pub fn loaded_before(&self) -> Option<f64> {
+        let [first, duration] = self.scaling.time?;
+        let waited = Some(first / duration).filter(|waited| (0.0..SOON).contains(waited));
+        let loaded = (self.u.first()? - self.zero_u).abs() > LOADED;
+        loaded.then_some(waited.unwrap_or(0.0))
     }
 
     /// Settings of the stimulus.

@@ -1,16 +1,18 @@
 //! A transducer or axis session as a measurement model of the procedure.
 
 use super::admission;
-use super::effects::{ERROR_TABLE, HETEROSCEDASTIC_NOISE};
+use super::bends::compete;
+use super::effects::{ERROR_TABLE, HETEROSCEDASTIC_NOISE, ZERO_BY_SERIES};
 use super::floor::{noise_floor, replicate_keys};
 use super::frame::Declared;
+use super::leftover::judge_driver;
 use super::model::ScalarModel;
-use super::parameters::{self, of_effect};
+use super::parameters::{self, of_effect, zero_scatter};
 use super::polynomial::{Polynomial, polynomial};
 use super::predictions::{Fitted, Grouping, folds, follows_neighbours, predict};
 use super::spread_trend::with_spread_of;
 use super::stationarity::{UNSTEADY, stationarity};
-use super::system::ScalarSystem;
+use super::system::{SWEPT_ONCE, ScalarSystem};
 use super::table::{deviations, has_table, prefer_error_table};
 use super::usable::{domain_error, non_invertible_reason, untested};
 use super::{ScalarRow, next};
@@ -119,6 +121,18 @@ impl SessionText for ScalarSystem {
                  and periods are in rows of the table."
             ));
         }
+        if let (Some(ways), true) =
+            (&self.frame.direction, self.frame.rows.iter().all(|r| r.direction.is_none()))
+        {
+            let falling = ways.iter().filter(|way| **way < 0.0).count();
+            notes.push(self.format_text(&format!(
+                "The direction follows from the order of the readings: {} rising, {falling} falling stimuli.",
+                ways.len() - falling
+            )));
+        }
+        if self.frame.swept_once() && !accepted.fit.terms.is_empty() {
+            notes.push(self.format_text(&format!("Nothing is said of the time: {SWEPT_ONCE}.")));
+        }
         for (model, h) in [("declared", &found.base), ("accepted", accepted)] {
             if let Some(l) = self.pure_error(h) {
                 let judged = l.p_value.map_or_else(
@@ -177,6 +191,8 @@ impl SessionModel for ScalarSystem {
 
     fn complete(&self, explained: &mut Explained, options: &Options) {
         prefer_error_table(self, explained, options);
+        compete(self, explained, options);
+        judge_driver(self, explained);
     }
 
     fn noise_effect(&self) -> Option<NamedEffect> {
@@ -283,6 +299,8 @@ impl SessionModel for ScalarSystem {
     fn folds(&self, accepted: &Hypothesis) -> Folds {
         let grouping = if has_table(self, accepted) {
             Grouping::Repeats
+        } else if accepted.fit.terms.iter().any(|t| self.catalogue()[t.effect].id == ZERO_BY_SERIES) {
+            Grouping::WithinSeries
         } else if follows_neighbours(self, accepted) {
             Grouping::Blocks
         } else {
@@ -302,6 +320,8 @@ impl SessionModel for ScalarSystem {
         let lack = [base, accepted].map(|h| self.pure_error(h));
         // Where the fit takes its readings for independent, its variance holds what they share already.
         let shared = accepted.weights.shared().map_or(0.0, |_| noise.shared_variance());
+        // A further series has a zero of its own.
+        let shared = shared + zero_scatter(self, &accepted.fit) / accepted.fit.variance();
         let [declared, richer] = self.polynomials(base, accepted);
         let polynomial = richer.or(declared.filter(|_| accepted.fit.terms.is_empty()));
         ScalarModel::of(self, accepted, self.spread(), shared, self.names(), polynomial, lack)

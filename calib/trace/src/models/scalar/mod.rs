@@ -1,11 +1,13 @@
 //! Measurement models with one value a reading: kinds "transducer" and "axis".
 
 pub mod admission;
+mod bends;
 pub mod cells;
 pub mod effects;
 pub mod floor;
 pub mod frame;
 pub mod judgement;
+mod leftover;
 mod measurement;
 pub mod model;
 pub mod next;
@@ -14,8 +16,10 @@ pub mod polynomial;
 pub mod predictions;
 mod range_limit;
 mod scalar_effect;
+mod sequence;
 mod spread_trend;
 pub mod stationarity;
+mod stimulus_scale;
 pub mod system;
 pub mod table;
 mod usable;

@@ -1,9 +1,9 @@
 //! Fitted values in the session's units, with intervals.
 
-use super::effects::PERIODIC;
+use super::effects::{PERIODIC, ZERO_BY_SERIES, of_a_turn};
 use super::frame::{Frame, Names};
 use super::system::ScalarSystem;
-use crate::effect::Role;
+use crate::effect::{EffectTerm, Role};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::Fit;
 use crate::method::inference::{self, t95};
@@ -58,6 +58,8 @@ pub fn physical(unit: &str, value: f64, law: usize, frame: &Frame, names: &Names
             Some([first, _]) => (first + duration * value, "s".to_owned()),
             None => (1.0 + readings * value, "reading".to_owned()),
         },
+        "1/half-range" => (value / half, ratio("1", &[(stimulus, 1)])),
+        "response/stimulus^4" => (value, ratio(response, &[(stimulus, 4)])),
         "period:stimulus" => (2.0 * half / value, stimulus.clone()),
         "period:time" => (duration / value, "s".to_owned()),
         "period:order" => (readings / value, "readings".to_owned()),
@@ -96,6 +98,15 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
         instance += usize::from(term.effect == effect);
         // A further term of the effect: its values are numbered.
         let suffix = if instance > 1 { format!("_{instance}") } else { String::new() };
+        if let Some(Some(period)) = of_a_turn(law.name, &system.frame).filter(|_| term.effect == effect) {
+            let unit = names.stimulus.clone();
+            out.push(EffectParameter {
+                name: format!("period{suffix}"),
+                value: period,
+                unit,
+                interval95: [period; 2],
+            });
+        }
         let mut push = |name: &str, unit: &str, value: f64, half: [f64; 2], lowest: f64| {
             let at = |v: f64| physical(unit, v, term.law, &system.frame, names);
             let (value_out, unit_out) = at(value);
@@ -121,6 +132,10 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
         for (k, (name, unit)) in law.linear.iter().enumerate() {
             if term.effect == effect {
                 let half = t * covariance[(column + k, column + k)].max(0.0).sqrt();
+                // Columns of one name are numbered: powers, series.
+                let several = law.linear.iter().filter(|l| l.0 == *name).count() > 1;
+                let numbered = if several { format!("{name}_{}", k + 1) } else { (*name).to_owned() };
+                let name = numbered.as_str();
                 push(name, unit, fit.coefficients[(column + k, 0)], [half; 2], f64::MIN);
             }
         }
@@ -130,6 +145,19 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
         column += law.linear.len();
     }
     out
+}
+
+/// Variance of the zeros of series about their mean; 0 where they have one zero.
+pub fn zero_scatter(system: &ScalarSystem, fit: &Fit) -> f64 {
+    let linear = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
+    let Some(at) = fit.terms.iter().position(|t| system.catalogue()[t.effect].id == ZERO_BY_SERIES) else {
+        return 0.0;
+    };
+    let own: usize = fit.terms.iter().map(linear).sum();
+    let first = fit.design.ncols() - own + fit.terms[..at].iter().map(linear).sum::<usize>();
+    let shifts = fit.coefficients.column(0);
+    let shifts = shifts.rows(first, linear(&fit.terms[at]));
+    (shifts.norm_squared() + shifts.sum().powi(2)) / shifts.len() as f64
 }
 
 /// How far nonlinear value `slot` can move down and up without moving any prediction.

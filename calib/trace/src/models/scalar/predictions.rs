@@ -24,6 +24,8 @@ pub enum Grouping {
     Stimuli,
     /// One repeat of every place: a table knows nothing of a place that it has not seen.
     Repeats,
+    /// The same, series by series never: nothing is known of the zero of a series that is left out.
+    WithinSeries,
     /// Readings that follow each other: neighbours in time share what is interpolated between them.
     Blocks,
 }
@@ -64,7 +66,7 @@ pub fn folds(frame: &Frame, grouping: Grouping) -> Folds {
         (fold, distinct.len())
     };
     let (fold, count) = number(frame.groups.iter().map(|g| i64::from(*g)).collect());
-    if count >= 3 {
+    if count >= 3 && grouping != Grouping::WithinSeries {
         return of("loto", format!("by leaving out each of {count} cycles in turn"), fold);
     }
     if grouping == Grouping::Repeats {

@@ -10,10 +10,12 @@ pub struct ScalarEffect {
     pub effect: Effect,
     /// Why the effect cannot be seen in readings that have every column it needs; none where it can.
     pub not_observable: fn(&Frame) -> Option<String>,
+    /// A bend: a law of the stimulus alone that does not repeat along it. Bends compete for one shape.
+    pub bend: bool,
     /// The power of the stimulus that it adds to a polynomial of one degree less.
     pub degree: Option<usize>,
-    /// A law whose columns are functions of the stimulus alone, although they are no power of it.
-    pub wave_of_stimulus: Option<&'static str>,
+    /// Laws whose columns are functions of the stimulus alone, although they are no bend.
+    pub waves_of_stimulus: &'static [&'static str],
     /// A plainer effect that a law of this one looks like on these readings: it is named only where that one is contradicted.
     pub looks_like: fn(&EffectModel, &Frame) -> Option<&'static str>,
     /// Values of a law's only shape that are none of this effect: where one of them describes the readings better, the effect is not named.
@@ -27,7 +29,7 @@ pub struct ScalarEffect {
 impl ScalarEffect {
     /// Whether the columns of a law are functions of the stimulus alone.
     pub fn of_stimulus(&self, law: &EffectModel) -> bool {
-        self.degree.is_some() || self.wave_of_stimulus == Some(law.name)
+        self.bend || self.degree.is_some() || self.waves_of_stimulus.contains(&law.name)
     }
 }
 
@@ -44,8 +46,9 @@ impl From<Effect> for ScalarEffect {
         Self {
             effect,
             not_observable: |_| None,
+            bend: false,
             degree: None,
-            wave_of_stimulus: None,
+            waves_of_stimulus: &[],
             looks_like: |_, _| None,
             spans_too_few_periods: &[],
             warp: |_, _, _| true,

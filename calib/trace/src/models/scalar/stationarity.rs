@@ -3,6 +3,7 @@
 use super::effects::PERIODIC;
 use super::parameters::covariance;
 use super::system::ScalarSystem;
+use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::fit;
 use crate::method::hypothesis::Hypothesis;
@@ -26,7 +27,8 @@ const MIN_HALF: usize = 15;
 
 /// Refits the accepted explanation on each half, in the order of its variable. None without a periodic effect.
 pub fn stationarity(system: &ScalarSystem, h: &Hypothesis) -> Option<Stationarity> {
-    let place = h.fit.terms.iter().position(|t| system.catalogue()[t.effect].id == PERIODIC)?;
+    let free = |t: &EffectTerm| system.catalogue()[t.effect].id == PERIODIC && !t.values.is_empty();
+    let place = h.fit.terms.iter().position(free)?;
     let term = &h.fit.terms[place];
     let slot: usize = h.fit.terms[..place].iter().map(|t| t.values.len()).sum();
     let frame = &system.frame;

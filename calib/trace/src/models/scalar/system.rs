@@ -21,7 +21,9 @@ fn unmet(need: LawRequirement, frame: &Frame) -> Option<&'static str> {
         LawRequirement::Slope => {
             (!frame.sloped()).then_some("the declared model is constant: it does not follow the stimulus")
         }
-        LawRequirement::Time => frame.time.is_none().then_some("the session has no time stamps"),
+        LawRequirement::Time if frame.time.is_none() => Some("the session has no time stamps"),
+        LawRequirement::Time | LawRequirement::Clock | LawRequirement::Order if frame.swept_once() => Some(SWEPT_ONCE),
+        LawRequirement::Time => None,
         LawRequirement::Clock | LawRequirement::Order => (!frame.ordered).then_some(
             "the table has no time stamps and is sorted by the stimulus, repetitions side by side: the order of the readings is unknown",
         ),
@@ -38,6 +40,11 @@ fn unmet(need: LawRequirement, frame: &Frame) -> Option<&'static str> {
         LawRequirement::Motion | LawRequirement::Weight | LawRequirement::Pictures | LawRequirement::MovingPictures | LawRequirement::StraightArc | LawRequirement::RestReadings => None,
     }
 }
+
+/// Why no law of the clock shows in a single series of rising loads (ASTM E74, ISO 376 and DKD-R 6-1 turn directions for that reason).
+pub(super) const SWEPT_ONCE: &str = "the stimulus only rises or only falls, so that what follows the time follows the stimulus, too: take a falling series, or the stimuli in another order";
+/// Why nothing bends over a full turn.
+const ONE_PLACE: &str = "the stimulus goes around once: 0 and a full turn are one place";
 
 /// A scalar session, its declared model and the catalogue.
 #[derive(Clone)]
@@ -245,9 +252,12 @@ impl MeasurementModel for ScalarSystem {
     }
 
     fn not_observable(&self, effect: usize) -> Option<String> {
-        let ScalarEffect { effect, not_observable, degree, .. } = &self.effects[effect];
-        if degree.is_some() && self.frame.counts_readings {
+        let ScalarEffect { effect, not_observable, bend, degree, .. } = &self.effects[effect];
+        if (*bend || degree.is_some()) && self.frame.counts_readings {
             return Some("no stimulus was set: its column counts the readings".to_owned());
+        }
+        if *bend && self.frame.cyclic() {
+            return Some(ONE_PLACE.to_owned());
         }
         let unmet = effect.needs().iter().find_map(|need| unmet(*need, &self.frame));
         unmet.map(str::to_owned).or_else(|| not_observable(&self.frame))
@@ -269,10 +279,11 @@ impl MeasurementModel for ScalarSystem {
         let frame = &self.frame;
         let stimulus = if frame.declared == Declared::Axis { "commanded_mm" } else { "stimulus" };
         let mut out = vec![(stimulus.to_owned(), frame.rows.iter().map(|r| r.x).collect::<Vec<f64>>())];
-        if frame.ordered {
+        let clock = !frame.swept_once();
+        if frame.ordered && clock {
             out.push(("order".to_owned(), (0..frame.rows.len()).map(|k| k as f64).collect()));
         }
-        if frame.time.is_some() {
+        if frame.time.is_some() && clock {
             out.push(("t_s".to_owned(), frame.rows.iter().map(|r| r.t_s.unwrap_or(0.0)).collect()));
         }
         if frame.temperature.is_some() {

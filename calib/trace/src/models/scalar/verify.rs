@@ -1,7 +1,7 @@
 //! `verify` for kinds "transducer" and "axis": admission of the data, the procedure, and what reports and calibration need of it.
 
 use super::admission::{number, thin};
-use super::frame::{Declared, Frame, Names, ScalarData, ScalarRow, Scaling};
+use super::frame::{Frame, Names, ScalarData, ScalarRow, Scaling};
 use super::model::ScalarModel;
 use super::polynomial::Polynomial;
 use super::range_limit::range_limits;
@@ -82,8 +82,11 @@ pub fn verify_scalar(
     points.retain(|r| !limits.iter().any(|l| l.points.contains(&r.origin.2)));
     let rows = thin(points.clone());
     let scaling = Scaling { count: points.len(), ..Scaling::of(&rows) }.with_unreliability(&rows, declared);
-    let scaling = if declared == Declared::Axis { scaling.with_places(&rows) } else { scaling };
     let (stimulus, response) = data.units();
+    let scaling = match data {
+        ScalarData::Transducer(_) => scaling.of_transducer(&rows, &stimulus),
+        ScalarData::Axis(_) => scaling.with_places(&rows),
+    };
     let names = Names { stimulus, response, covariates: data.covariate_names() };
     let model = ScalarSystem::new(Frame::new(rows, &scaling, declared), &names.covariates)
         .of_session(names, points, limits);

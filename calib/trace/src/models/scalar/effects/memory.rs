@@ -2,7 +2,15 @@
 
 /// Exact solution of r' = (u - r)/tau along the readings, u linear between them, starting in equilibrium.
 pub fn relaxed(u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
+    relaxed_from(u.first().copied().unwrap_or(0.0), u, time, tau)
+}
+
+/// The same from another state at the first reading.
+pub fn relaxed_from(first: f64, u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
     let mut out = u.to_vec();
+    if let Some(start) = out.first_mut() {
+        *start = first;
+    }
     for k in 1..u.len() {
         let x = (time[k] - time[k - 1]) / tau;
         let decay = (-x).exp();

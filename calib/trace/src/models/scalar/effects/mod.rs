@@ -3,26 +3,39 @@
 //! Parameters are in half ranges of the stimulus, durations of the session and cycles over the range, so that grids and ranges hold for
 //! any unit; `scalar::parameters` turns them into the session's units.
 
+mod bends;
 mod error_table;
 mod memory;
 mod periodic;
 mod response;
+mod scales;
+mod series;
 mod stimulus;
 
-use super::frame::Frame;
+use super::frame::{Declared, Frame};
 use super::scalar_effect::ScalarEffect;
+pub use bends::POLYNOMIAL;
 pub use error_table::ERROR_TABLE;
-pub use periodic::PERIODIC;
+pub use periodic::{PERIODIC, of_a_turn};
 pub use response::HETEROSCEDASTIC_NOISE;
+pub use series::ZERO_BY_SERIES;
 
 /// Every effect of docs/src/formats.md for kinds "transducer" and "axis".
 pub fn scalar_catalogue(frame: &Frame, covariates: usize) -> Vec<ScalarEffect> {
+    let declared = match frame.declared {
+        Declared::Polynomial(degree) => degree,
+        Declared::Axis => 1,
+    };
     vec![
         stimulus::scale(frame.sloped()),
-        response::nonlinearity_quadratic(),
-        response::nonlinearity_cubic(),
-        stimulus::saturation(),
-        stimulus::dead_zone(),
+        bends::nonlinearity_quadratic(),
+        bends::nonlinearity_cubic(),
+        bends::polynomial(declared),
+        bends::saturation(),
+        bends::knee(),
+        bends::dead_zone(),
+        scales::logarithmic_scale(),
+        scales::callendar_van_dusen(),
         periodic::periodic(),
         response::drift(),
         stimulus::creep(),
@@ -34,6 +47,8 @@ pub fn scalar_catalogue(frame: &Frame, covariates: usize) -> Vec<ScalarEffect> {
         response::outliers(),
         response::heteroscedastic_noise(),
         response::cross_axis(covariates),
+        series::zero_by_series(frame.scaling.series.len()),
+        series::count_wrap(),
         error_table::error_table(&frame.places()),
     ]
 }

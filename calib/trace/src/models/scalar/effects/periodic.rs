@@ -3,6 +3,7 @@
 use crate::effect::{Effect, LawRequirement, law};
 use crate::scalar::frame::{Frame, correlation};
 use crate::scalar::scalar_effect::ScalarEffect;
+use std::f64::consts::TAU;
 
 /// Identifier of the periodic effect.
 pub const PERIODIC: &str = "periodic";
@@ -30,13 +31,18 @@ pub fn periodic() -> ScalarEffect {
         let period = law(name).shape("period", unit, [MIN_CYCLES, 120.0], &GRID);
         period.column("sine", "response").column("cosine", "response")
     };
+    // Eccentricity of an encoder's magnet or disc acts once a turn, its tilt twice.
+    let of_turn = |name| law(name).column("sine", "response").column("cosine", "response");
     ScalarEffect {
-        wave_of_stimulus: Some("over-stimulus"),
+        waves_of_stimulus: &["over-stimulus", "once-a-turn", "twice-a-turn"],
         spans_too_few_periods: &SQUIGGLES,
         not_observable: |frame| {
             (frame.scaling.count < MIN_PLACES).then(|| format!("fewer than {MIN_PLACES} readings"))
         },
         columns: |values, frame| {
+            if let Some(period) = of_a_turn(values.law(), frame) {
+                return period.map(|period| waves(frame.rows.iter().map(|r| TAU * r.x / period)));
+            }
             let (place, places) = variable(values.law(), frame)?;
             // Above half a cycle from place to place a frequency is another one's alias.
             let cycles = values.of("period");
@@ -44,12 +50,12 @@ pub fn periodic() -> ScalarEffect {
             if aliased && !frame.new_rows {
                 return None;
             }
-            let phase: Vec<f64> = place.iter().map(|p| std::f64::consts::TAU * cycles * p).collect();
+            let phase: Vec<f64> = place.iter().map(|p| TAU * cycles * p).collect();
             let locked = || share_explained(&frame.u, &phase) > LOCKED || locked_to_strokes(frame, &phase);
             if values.law() != "over-stimulus" && !frame.new_rows && locked() {
                 return None;
             }
-            Some([f64::sin as fn(f64) -> f64, f64::cos].map(|f| phase.iter().map(|p| f(*p)).collect()).into())
+            Some(waves(phase.into_iter()))
         },
         ..Effect {
             superposes: true,
@@ -61,11 +67,27 @@ pub fn periodic() -> ScalarEffect {
                     wave("over-stimulus", "period:stimulus"),
                     wave("over-time", "period:time").needing(&[LawRequirement::Time]),
                     wave("over-order", "period:order").needing(&[LawRequirement::Order]),
+                    of_turn("once-a-turn"),
+                    of_turn("twice-a-turn"),
                 ],
             )
         }
         .into()
     }
+}
+
+/// Period of a law that counts turns, where the stimulus goes around; none of other laws.
+pub fn of_a_turn(law: &str, frame: &Frame) -> Option<Option<f64>> {
+    match law {
+        "once-a-turn" => Some(frame.scaling.turn),
+        "twice-a-turn" => Some(frame.scaling.turn.map(|turn| 0.5 * turn)),
+        _ => None,
+    }
+}
+
+/// Sine and cosine of a phase.
+fn waves(phase: impl Iterator<Item = f64> + Clone) -> Vec<Vec<f64>> {
+    [f64::sin as fn(f64) -> f64, f64::cos].map(|f| phase.clone().map(f).collect()).into()
 }
 
 /// A wave in time that explains this share of the stimulus runs with the stimulus: what follows it is a function of the stimulus.
@@ -127,10 +149,12 @@ fn variable(law: &str, frame: &Frame) -> Option<(Vec<f64>, usize)> {
     match law {
         "over-stimulus" if by_clock => None,
         "over-stimulus" => Some((frame.u.iter().map(|u| 0.5 * (u + 1.0)).collect(), frame.levels())),
-        "over-time" => frame.time.as_ref().filter(|t| !same(t, &frame.u)).map(|t| (t.clone(), n)),
+        "over-time" => {
+            frame.time.as_ref().filter(|_| frame.new_rows || !frame.swept_once()).map(|t| (t.clone(), n))
+        }
         _ => {
             // The order of the rows stands in for a clock only where there is none.
-            let known = frame.time.is_some() || same(&frame.u, &frame.order);
+            let known = frame.time.is_some() || same(&frame.u, &frame.order) || frame.swept_once();
             (!known && frame.ordered).then(|| (frame.order.clone(), n))
         }
     }

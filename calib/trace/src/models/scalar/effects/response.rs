@@ -7,55 +7,6 @@ use crate::scalar::scalar_effect::ScalarEffect;
 /// Identifier of the effect on the spread of the noise, found by `scalar::spread_test`.
 pub const HETEROSCEDASTIC_NOISE: &str = "heteroscedastic-noise";
 
-/// Law of an odd response.
-const ABOUT_ZERO: &str = "power-3-about-zero";
-/// Within this share of the half range zero is inside: the cubic's own part is a third of it and more.
-const TWO_SIDED: f64 = 0.5;
-/// Further out than this from the middle, zero is no part of what was measured.
-const FAR: f64 = 1.2;
-
-/// A term in the square of the stimulus, about the middle of the range (NIST/SEMATECH e-Handbook 4.6.1, load cell).
-pub fn nonlinearity_quadratic() -> ScalarEffect {
-    ScalarEffect {
-        degree: Some(2),
-        columns: |_, frame| Some(vec![frame.u.iter().map(|u| u.powi(2)).collect()]),
-        ..ScalarEffect::new(
-            "nonlinearity-quadratic",
-            "Quadratic nonlinearity: the response has a term in the square of the stimulus.",
-            vec![law("power-2").column("coefficient", "response/half-range^2")],
-        )
-    }
-}
-
-/// A term in the cube of the stimulus, about the middle of the range, or about zero (an odd response).
-///
-/// ```text
-/// (u - u0)^3 = u^3 - 3 u0 u^2 + ...      u0: stimulus zero; about the middle the square has a coefficient of its own
-/// ```
-pub fn nonlinearity_cubic() -> ScalarEffect {
-    let cube = |name| law(name).column("coefficient", "response/half-range^3");
-    ScalarEffect {
-        degree: Some(3),
-        looks_like: |law, frame| {
-            let one_sided = law.name == ABOUT_ZERO && frame.zero_u.abs() > TWO_SIDED;
-            one_sided.then_some("nonlinearity-quadratic")
-        },
-        columns: |values, frame| {
-            let centre = if values.law() == ABOUT_ZERO { frame.zero_u } else { 0.0 };
-            // About the middle of the range both laws are one; far outside it nothing says that zero is the centre.
-            if values.law() == ABOUT_ZERO && !frame.new_rows && !(1e-3..FAR).contains(&centre.abs()) {
-                return None;
-            }
-            Some(vec![frame.u.iter().map(|u| (u - centre).powi(3)).collect()])
-        },
-        ..ScalarEffect::new(
-            "nonlinearity-cubic",
-            "Cubic nonlinearity: the response has a term in the cube of the stimulus.",
-            vec![cube("power-3"), cube(ABOUT_ZERO).needing(&[LawRequirement::Slope])],
-        )
-    }
-}
-
 /// Drift of the zero, in proportion to time, or to the order where there is no time.
 pub fn drift() -> ScalarEffect {
     let linear = law("linear").needing(&[LawRequirement::Clock]).column("rate", "response/duration");

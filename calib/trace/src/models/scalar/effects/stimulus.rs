@@ -1,7 +1,7 @@
 //! Effects on the stimulus, and those that can act on it.
 
-use super::memory::{bouc_wen, delayed, play, relaxed};
-use crate::effect::{Effect, LawRequirement, law};
+use super::memory::{bouc_wen, delayed, play, relaxed, relaxed_from};
+use crate::effect::{Effect, EffectModel, LawRequirement, law};
 use crate::scalar::frame::Declared;
 use crate::scalar::scalar_effect::ScalarEffect;
 
@@ -9,7 +9,7 @@ use crate::scalar::scalar_effect::ScalarEffect;
 /// whole. `sloped`: the declared model follows the stimulus.
 pub fn scale(sloped: bool) -> ScalarEffect {
     let relative = if sloped {
-        law("relative").amplitude("relative_scale", "1", [-0.5, 0.5], 1e-3)
+        law("relative").amplitude("relative_scale", "1", [-0.999, 1e5], 1e-3)
     } else {
         law("slope").column("slope", "response/half-range")
     };
@@ -33,65 +33,6 @@ pub fn scale(sloped: bool) -> ScalarEffect {
     }
 }
 
-/// Saturation: beyond a knee, away from zero, the response follows the stimulus less or not at all (limit stop or full-scale limit, piecewise
-/// linear).
-pub fn saturation() -> ScalarEffect {
-    const UPPER: &[f64] = &[-0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8];
-    const LOWER: &[f64] = &[-0.8, -0.6, -0.4, -0.2, 0.0, 0.2, 0.4];
-    let knee = |name, range, grid| {
-        // A share of one is complete saturation.
-        let lost = law(name).needing(&[LawRequirement::Slope]).amplitude("slope_lost", "1", [0.0, 1.0], 0.2);
-        lost.shape("knee", "stimulus", range, grid)
-    };
-    ScalarEffect {
-        warp: |values, frame, u| {
-            let (share, knee) = (values.of("slope_lost"), values.of("knee"));
-            let upper = values.law() == "upper-knee";
-            // Toward zero a lost slope is a dead zone.
-            let away = if upper { knee >= frame.zero_u } else { knee <= frame.zero_u };
-            if !away {
-                return false;
-            }
-            for v in u {
-                let beyond = if upper { (*v - knee).max(0.0) } else { (*v - knee).min(0.0) };
-                *v -= share * beyond;
-            }
-            true
-        },
-        ..ScalarEffect::new(
-            "saturation",
-            "Saturation: above a threshold the sensitivity decreases.",
-            vec![knee("upper-knee", [-0.9, 0.98], UPPER), knee("lower-knee", [-0.98, 0.9], LOWER)],
-        )
-    }
-}
-
-/// Dead zone: near zero the response follows the stimulus less or not at all (play or threshold, piecewise linear).
-pub fn dead_zone() -> ScalarEffect {
-    let about_zero = law("about-zero")
-        .needing(&[LawRequirement::Slope])
-        .amplitude("slope_lost", "1", [0.0, 1.0], 0.2)
-        .shape("half_width", "half-range", [0.005, 1.6], &[0.05, 0.1, 0.2, 0.4, 0.8]);
-    ScalarEffect {
-        not_observable: |frame| {
-            let outside = frame.zero_u.abs() > 1.2;
-            outside.then(|| "no reading was taken near stimulus zero".to_owned())
-        },
-        warp: |values, frame, u| {
-            let (share, width) = (values.of("slope_lost"), values.of("half_width"));
-            for v in u {
-                *v -= share * (*v - frame.zero_u).clamp(-width, width);
-            }
-            true
-        },
-        ..ScalarEffect::new(
-            "dead-zone",
-            "Dead zone: near zero the response does not follow the stimulus.",
-            vec![about_zero],
-        )
-    }
-}
-
 /// Creep: the response goes on moving after the stimulus has changed, onward or (negative, recovery) back: one Prony term driven by the
 /// stimulus, or the settling of an earlier load.
 pub fn creep() -> ScalarEffect {
@@ -103,13 +44,26 @@ pub fn creep() -> ScalarEffect {
         .needing(&[LawRequirement::Time])
         .shape("time_constant", "duration", [0.01, 0.6], &[0.02, 0.05, 0.1, 0.2, 0.4])
         .column("size_at_start", "response");
+    // The test of OIML R 60 begins with the load: put on at t_s = 0, the sensor at rest before.
+    let from_rest = EffectModel { name: "prony-from-rest", ..prony.clone() };
     ScalarEffect {
         warp: |values, frame, u| {
             if values.law() == "settling" {
                 return true;
             }
             let (true, Some(time)) = (frame.sloped(), &frame.time) else { return false };
-            let slow = relaxed(u, time, values.of("time_constant"));
+            let constant = values.of("time_constant");
+            let slow = if values.law() == "prony-from-rest" {
+                let Some(waited) = frame.loaded_before() else { return false };
+                relaxed_from(
+                    frame.zero_u + (u[0] - frame.zero_u) * -(-waited / constant).exp_m1(),
+                    u,
+                    time,
+                    constant,
+                )
+            } else {
+                relaxed(u, time, constant)
+            };
             let fraction = values.of("creep_fraction");
             for (v, r) in u.iter_mut().zip(slow) {
                 *v += fraction * r;
@@ -129,26 +83,37 @@ pub fn creep() -> ScalarEffect {
             ..Effect::new(
                 "creep",
                 "The response creeps: it keeps changing after the stimulus has settled.",
-                vec![prony, settling],
+                vec![prony, settling, from_rest],
             )
         }
         .into()
     }
 }
 
-/// Hysteresis: the response depends on whether the stimulus was rising or falling: Coulomb friction by direction, or Bouc-Wen with n = 1
-/// (Wen 1976). An axis counts a mere offset by direction as backlash.
+/// Hysteresis: the response depends on whether the stimulus was rising or falling: Coulomb friction by direction, a loop that closes at both ends of the
+/// range (elastic hysteresis; DKD-R 6-1, ISO 376 reversibility), or Bouc-Wen with n = 1 (Wen 1976). An axis counts a mere offset by direction as backlash.
+///
+/// ```text
+/// closed loop: (1 - u^2) d (h + s u)        u: stimulus in half ranges, d: +1 rising, -1 falling, h: half the loop at the middle
+/// ```
 pub fn hysteresis(declared: Declared) -> ScalarEffect {
-    let gradual = law("bouc-wen")
-        .needing(&[LawRequirement::BothDirections])
-        .amplitude("half_loop", "half-range", [-0.5, 0.5], 0.01)
-        .shape("width", "half-range", [0.005, 2.0], &[0.02, 0.1, 0.3, 1.0]);
-    let plain =
-        law("by-direction").needing(&[LawRequirement::BothDirections]).column("half_loop", "response");
-    let laws = if declared == Declared::Axis { vec![gradual] } else { vec![plain, gradual] };
+    let both = |name| law(name).needing(&[LawRequirement::BothDirections]);
+    let gradual = both("bouc-wen").amplitude("half_loop", "half-range", [-0.5, 0.5], 0.01).shape(
+        "width",
+        "half-range",
+        [0.005, 2.0],
+        &[0.02, 0.1, 0.3, 1.0],
+    );
+    let plain = both("by-direction").column("half_loop", "response");
+    let closed = both("closed-loop").column("half_loop", "response");
+    let skewed = EffectModel { name: "skewed-loop", ..closed.clone() }.column("skew", "response");
+    let mut laws = vec![gradual, closed, skewed];
+    if declared != Declared::Axis {
+        laws.insert(0, plain);
+    }
     ScalarEffect {
         warp: |values, frame, u| {
-            if values.law() == "by-direction" {
+            if values.law() != "bouc-wen" {
                 return true;
             }
             if !frame.sloped() {
@@ -161,9 +126,20 @@ pub fn hysteresis(declared: Declared) -> ScalarEffect {
             }
             true
         },
-        columns: |values, frame| match values.law() {
-            "by-direction" => Some(vec![frame.direction.clone()?]),
-            _ => Some(Vec::new()),
+        columns: |values, frame| {
+            let by_way = |f: fn(f64) -> f64| {
+                let direction = frame.direction.as_ref()?;
+                Some(direction.iter().zip(&frame.u).map(|(d, u)| d * f(*u)).collect::<Vec<f64>>())
+            };
+            if values.law() != "by-direction" && !frame.new_rows && !frame.read_both_ways() {
+                return (values.law() == "bouc-wen").then(Vec::new);
+            }
+            match values.law() {
+                "by-direction" => Some(vec![by_way(|_| 1.0)?]),
+                "closed-loop" => Some(vec![by_way(|u| 1.0 - u * u)?]),
+                "skewed-loop" => Some(vec![by_way(|u| 1.0 - u * u)?, by_way(|u| u * (1.0 - u * u))?]),
+                _ => Some(Vec::new()),
+            }
         },
         ..Effect {
             has_memory: true,

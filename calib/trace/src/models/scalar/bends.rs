@@ -1,0 +1,300 @@
+//! Bends compete for one shape by the error of readings that are left out in turn, each with its parameters refitted.
+//!
+//! ```text
+//! D = sum e'^2 - e^2,   sd(D) = 2 sqrt(d' C d),  d = e' - e         e, e': left-out errors of the best bend and of another one; C: covariance of the noise
+//! ```
+//!
+//! Were the other one true, it would fall behind by D > z sd(D) in one session of a hundred; the best of k bends was searched. In dense sweeps the noise is
+//! correlated, and a smooth difference d is as uncertain as its slow part. Where the stimulus only rises, such noise is a bend by another name: a verdict
+//! does not choose between them.
+
+use super::effects::POLYNOMIAL;
+use super::frame::Declared;
+use super::system::ScalarSystem;
+use crate::effect::{EffectModel, EffectTerm};
+use crate::levels::{REPLICATES, RIVAL, z};
+use crate::measurement_model::MeasurementModel;
+use crate::method::admissible::REFIT_STEPS;
+use crate::method::fit::{Fit, Status, Weights, fit};
+use crate::method::hypothesis::Hypothesis;
+use crate::method::noise::Noise;
+use crate::method::noise_estimator::noise_for_predictions;
+use crate::method::omnibus::omnibus_test;
+use crate::method::options::Options;
+use crate::method::signature::{Signature, nuisance_basis, signatures_of_effect};
+use crate::verify::session_model::Folds;
+use crate::verify::{Explained, SessionModel};
+use nalgebra::{DMatrix, DVector};
+
+/// A bend that leaves this much more of the fitted readings is no rival.
+const MUCH_MORE: f64 = 4.0;
+/// Share of the squares left out that another description may leave.
+const MATTERS: f64 = 0.5;
+
+/// Errors of readings that are left out in turn, in units of their noise; none where a fold has no fit.
+pub(super) struct LeftOut {
+    errors: Vec<f64>,
+}
+
+impl LeftOut {
+    /// With a model of `terms` that starts from their values, on readings taken for independent.
+    fn of(system: &ScalarSystem, terms: &[EffectTerm], weights: &Weights, folds: &Folds) -> Option<Self> {
+        let mut errors = vec![0.0; folds.fold.len()];
+        for f in 0..folds.fold.iter().flatten().max().map_or(0, |m| m + 1) {
+            let kept = weights.masked(|i| folds.fold[i] != Some(f));
+            let left = fit(system, terms, &kept, REFIT_STEPS)?.raw_residual;
+            for i in (0..errors.len()).filter(|&i| folds.fold[i] == Some(f) && weights.counts(i)) {
+                errors[i] = left[(i, 0)] * weights.of(i);
+            }
+        }
+        Some(Self { errors })
+    }
+
+    fn squares(&self) -> f64 {
+        self.errors.iter().map(|e| e * e).sum()
+    }
+
+    /// The readings speak against it beside `best`, at the level `z`; `noise`: covariance of the errors.
+    fn is_behind(&self, best: &Self, noise: &DMatrix<f64>, z: f64) -> bool {
+        let apart = DVector::from_fn(self.errors.len(), |i, _| self.errors[i] - best.errors[i]);
+        self.squares() - best.squares() > 2.0 * z * apart.dot(&(noise * &apart)).sqrt()
+    }
+}
+
+/// Lets the bends compete, in place of what was found.
+pub(super) fn compete(system: &ScalarSystem, explained: &mut Explained, options: &Options) {
+    let found = &explained.found;
+    if explained.exact || system.frame.cyclic() {
+        return;
+    }
+    let bends = found.accepted().fit.terms.iter().filter(|t| system.effects()[t.effect].bend).count();
+    // The errors of an axis have a table of their own.
+    let may_be_smooth = system.frame.declared != Declared::Axis;
+    if let Some(noise) = slow_noise(system, found.accepted(), options.seed) {
+        beside_slow_noise(system, explained, &noise, options);
+    } else if may_be_smooth
+        && (smooth_rest(system, explained) || bends > 1 && !is_polynomial(system, &found.best))
+    {
+        prefer_polynomial(system, explained, options);
+    } else if bends == 1 && !found.covariate_beats_catalogue {
+        let outcome = Contest::of(system, &found.best, &explained.noise, true).outcome();
+        take(system, explained, outcome, options);
+    }
+}
+
+/// Noise that is correlated in time, where the time and the stimulus are one line.
+fn slow_noise(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> Option<Noise> {
+    let swept = system.frame.swept_once();
+    swept.then(|| noise_for_predictions(system, h, seed)).flatten().filter(|n| n.correlated.is_some())
+}
+
+/// Takes the bends that stand in place of every bend that was found.
+fn take(system: &ScalarSystem, explained: &mut Explained, outcome: Outcome, options: &Options) {
+    let found = &mut explained.found;
+    let Some(first) = outcome.standing.first().cloned() else { return };
+    let apart = |h: &&Hypothesis| !outcome.competed.contains(&keys(h));
+    let other: Vec<Hypothesis> = found.survivors.iter().filter(apart).cloned().collect();
+    if keys(&first) != keys(&found.best) {
+        found.last_test = omnibus_test(system, &first.fit, &first.weights, options);
+        found.best = first;
+    }
+    found.refitted.retain(|h| !outcome.competed.contains(&keys(h)));
+    found.refitted.splice(0..0, outcome.standing.iter().cloned());
+    found.survivors = outcome.standing.into_iter().chain(other).collect();
+}
+
+fn keys(h: &Hypothesis) -> Vec<usize> {
+    let mut effects: Vec<usize> = h.fit.terms.iter().map(|t| t.effect).collect();
+    effects.sort_unstable();
+    effects
+}
+
+/// Only powers of the stimulus.
+fn is_polynomial(system: &ScalarSystem, h: &Hypothesis) -> bool {
+    let bends = h.fit.terms.iter().map(|t| &system.effects()[t.effect]).filter(|e| e.bend);
+    bends.into_iter().all(|e| e.degree.is_some())
+}
+
+/// Something is left that follows the stimulus alone: repeats say so, or the strongest driver.
+fn smooth_rest(system: &ScalarSystem, explained: &Explained) -> bool {
+    let found = &explained.found;
+    let lack = system.pure_error(found.accepted()).is_some_and(|l| l.p_value.is_some_and(|p| p < REPLICATES));
+    let driver = |d: &str| d == "stimulus";
+    let left = found.failed_adequacy_test().and_then(|t| t.covariates.first());
+    lack || left.is_some_and(|d| driver(&d.covariate))
+}
+
+/// Bends in one place: what stands beside them, readings taken for independent, and how they are left out.
+struct Contest<'a> {
+    system: &'a ScalarSystem,
+    of: &'a Hypothesis,
+    others: Vec<EffectTerm>,
+    independent: Weights,
+    folds: Folds,
+    /// Covariance of the errors' noise.
+    noise: DMatrix<f64>,
+}
+
+impl<'a> Contest<'a> {
+    /// The place of the bends of `h`; `waves`: its waves over the stimulus stay beside them.
+    fn of(system: &'a ScalarSystem, h: &'a Hypothesis, noise: &Noise, waves: bool) -> Self {
+        let rows: Vec<usize> = (0..system.frame.rows.len()).collect();
+        let mut covariance = noise.weights_of(&system.noise_inputs(), false).covariance(&rows);
+        let scale = |i: usize| h.weights.relative()[i] * noise.repeat.value;
+        covariance
+            .iter_mut()
+            .enumerate()
+            .for_each(|(k, c)| *c *= scale(k / rows.len()) * scale(k % rows.len()));
+        let effects = system.effects();
+        let beside = |t: &&EffectTerm| {
+            let of = &effects[t.effect];
+            !of.bend && (waves || !of.of_stimulus(of.effect.law(t.law)))
+        };
+        Self {
+            system,
+            of: h,
+            others: h.fit.terms.iter().filter(beside).cloned().collect(),
+            independent: Weights::independent(h.weights.relative().to_vec()),
+            folds: system.folds(h),
+            noise: covariance,
+        }
+    }
+
+    fn left_out(&self, terms: &[EffectTerm]) -> Option<LeftOut> {
+        LeftOut::of(self.system, terms, &self.independent, &self.folds)
+    }
+
+    /// Every bend that may stand in this place, refitted, with what it leaves of readings left out.
+    fn bends(&self) -> Vec<(Fit, LeftOut)> {
+        let system = self.system;
+        let Some(plain) = fit(system, &self.others, &self.independent, REFIT_STEPS) else {
+            return Vec::new();
+        };
+        let (basis, residual) = (nuisance_basis(&plain), plain.stacked());
+        let observable = |e: &usize| system.effects()[*e].bend && system.not_observable(*e).is_none();
+        let mut fits: Vec<Fit> = Vec::new();
+        for effect in (0..system.catalogue().len()).filter(observable) {
+            let signatures = signatures_of_effect(system, effect, &plain, &self.independent, &basis);
+            for (law, form) in system.catalogue()[effect].laws.iter().enumerate() {
+                let own = signatures.iter().filter(|s| s.term.law == law);
+                let best = own.max_by(|a: &&Signature, b| a.gain(&residual).total_cmp(&b.gain(&residual)));
+                let Some(start) = best.map(|s| s.start(&residual, form)) else { continue };
+                let terms: Vec<EffectTerm> = self.others.iter().cloned().chain([start]).collect();
+                let fitted = fit(system, &terms, &self.independent, 3 * REFIT_STEPS);
+                fits.extend(fitted.filter(|f| self.hypothesis(f.clone()).is_admissible(system)));
+            }
+        }
+        let least = fits.iter().map(|f| f.ssr).fold(f64::INFINITY, f64::min);
+        fits.retain(|f| {
+            f.ssr <= MUCH_MORE * least && system.unidentified_term(&self.hypothesis(f.clone())).is_none()
+        });
+        fits.into_iter().filter_map(|f| self.left_out(&f.terms).map(|e| (f, e))).collect()
+    }
+
+    fn hypothesis(&self, fit: Fit) -> Hypothesis {
+        Hypothesis { fit, weights: self.independent.clone(), ..self.of.clone() }
+    }
+
+    /// The bends that the readings do not speak against, one law of each. The plainest stands alone where none predicts better.
+    fn outcome(&self) -> Outcome {
+        let mut all = self.bends();
+        all.sort_by(|a, b| a.1.squares().total_cmp(&b.1.squares()));
+        let z = z(RIVAL / all.len().max(1) as f64);
+        let mut set: Vec<Hypothesis> = Vec::new();
+        for (f, _) in all.iter().filter(|(_, e)| !e.is_behind(&all[0].1, &self.noise, z)) {
+            let own = fit(self.system, &f.terms, &self.of.weights, REFIT_STEPS);
+            let own = own.map(|fit| Hypothesis { fit, ..self.of.clone() });
+            set.extend(own.filter(|h| set.iter().all(|s| keys(s) != keys(h))));
+        }
+        let best = set.first().map(keys);
+        // The plainest first: fewest parameters, then the catalogue's order.
+        set.sort_by_key(|h| (h.fit.design.ncols() + h.fit.tangents.len(), keys(h)));
+        if set.first().map(keys) == best {
+            set.truncate(1);
+        }
+        let competed = all.into_iter().map(|(f, _)| keys(&self.hypothesis(f))).collect();
+        Outcome { standing: set, competed }
+    }
+}
+
+/// Bends that stand, the plainest first, and the effects of all that competed.
+struct Outcome {
+    standing: Vec<Hypothesis>,
+    competed: Vec<Vec<usize>>,
+}
+
+/// Bends that predict readings left out, where noise that is correlated in time is a bend by another name: those that stand, and the noise alone where it
+/// took the place of a bend and the noise beside a bend lets its lead be chance.
+fn beside_slow_noise(system: &ScalarSystem, explained: &mut Explained, noise: &Noise, options: &Options) {
+    let accepted = explained.found.accepted().clone();
+    let contest = Contest::of(system, &accepted, noise, false);
+    let bent = contest.others.len() < accepted.fit.terms.len();
+    let Some(plain) = contest.left_out(&contest.others) else { return };
+    let better = |h: &Hypothesis| {
+        let beside = Contest::of(system, h, &noise_for_predictions(system, h, options.seed)?, false);
+        Some(plain.is_behind(&contest.left_out(&h.fit.terms)?, &beside.noise, z(RIVAL)))
+    };
+    let set = contest.outcome().standing;
+    let Some(first) = set.first().filter(|_| bent || set.iter().any(|h| better(h).unwrap_or(false))) else {
+        return;
+    };
+    let Some(noise) = noise_for_predictions(system, first, options.seed) else { return };
+    let of = |terms: &[EffectTerm]| {
+        let fit = fit(system, terms, &noise.weights, REFIT_STEPS)?;
+        Some(Hypothesis { fit, weights: noise.weights.clone(), ..accepted.clone() })
+    };
+    let mut set: Vec<Hypothesis> = set.iter().filter_map(|h| of(&h.fit.terms)).collect();
+    set.extend(of(&contest.others).filter(|_| !bent));
+    let found = &mut explained.found;
+    let (Some(base), Some(best)) = (of(&[]), set.first().cloned()) else { return };
+    found.last_test = omnibus_test(system, &best.fit, &best.weights, options);
+    found.covariate_beats_catalogue = false;
+    found.refitted = set.clone();
+    (found.base, found.best, found.survivors) = (base, best, set);
+    explained.noise = noise;
+}
+
+/// A polynomial of the least degree that no higher one beats on readings left out, where it takes most of what the laws of the stimulus leave of them.
+fn prefer_polynomial(system: &ScalarSystem, explained: &mut Explained, options: &Options) {
+    let found = &explained.found;
+    let contest = Contest::of(system, found.accepted(), &explained.noise, false);
+    let effects = system.effects();
+    let Some(effect) = effects.iter().position(|e| e.effect.id == POLYNOMIAL) else { return };
+    let of_degree = |(law, form): (usize, &EffectModel)| {
+        // Half of the places are left to say whether it holds between them.
+        let enough = !form.linear.is_empty() && 2 * form.linear.len() + 4 <= system.frame.levels();
+        let term = EffectTerm { effect, law, values: Vec::new() };
+        let terms: Vec<EffectTerm> = contest.others.iter().cloned().chain([term]).collect();
+        enough.then(|| Some((contest.left_out(&terms)?, terms)))?
+    };
+    let all: Vec<_> = effects[effect].effect.refinements.iter().enumerate().filter_map(of_degree).collect();
+    let Some((best, _)) = all.iter().min_by(|a, b| a.0.squares().total_cmp(&b.0.squares())) else { return };
+    // What the best one leaves is the noise: what the laws leave is none.
+    let noise =
+        DMatrix::identity(best.errors.len(), best.errors.len()) * (best.squares() / best.errors.len() as f64);
+    let Some((errors, terms)) = all.iter().find(|(e, _)| !e.is_behind(best, &noise, z(RIVAL))) else {
+        return;
+    };
+    let laws = contest.left_out(&found.accepted().fit.terms);
+    if laws.is_none_or(|laws| errors.squares() >= MATTERS * laws.squares()) {
+        return;
+    }
+    let Some(fit) =
+        fit(system, terms, &contest.independent, REFIT_STEPS).filter(|f| f.status != Status::RankDeficient)
+    else {
+        return;
+    };
+    let smooth = contest.hypothesis(fit);
+    if system.pure_error(&smooth).is_some_and(|l| l.p_value.is_some_and(|p| p < REPLICATES)) {
+        return;
+    }
+    let last_test = omnibus_test(system, &smooth.fit, &smooth.weights, options);
+    if let Some(noise) = noise_for_predictions(system, &smooth, options.seed) {
+        explained.noise = noise;
+    }
+    let found = &mut explained.found;
+    found.covariate_beats_catalogue = false;
+    found.survivors = vec![smooth.clone()];
+    found.refitted = vec![smooth.clone()];
+    (found.best, found.last_test) = (smooth, last_test);
+}

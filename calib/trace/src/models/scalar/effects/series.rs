@@ -1,0 +1,53 @@
+//! What belongs to a series, or to the read-out's own range.
+
+use crate::effect::law;
+use crate::scalar::scalar_effect::ScalarEffect;
+
+/// Identifier of the zeros of series.
+pub const ZERO_BY_SERIES: &str = "zero-by-series";
+
+/// Every series (mounting, cycle) has a zero of its own (ISO 376: X - X0 of each series): sum-to-zero contrasts, so that the constant is the mean zero.
+/// Nothing is known of the zero of another series.
+pub fn zero_by_series(count: usize) -> ScalarEffect {
+    let shifts = (1..count.max(2)).fold(law("one-each"), |l, _| l.column("zero_shift", "response"));
+    ScalarEffect {
+        not_observable: |frame| {
+            let none = "the table has no series of their own (column cycle or replicate)";
+            let stroke = "each series is a stroke: what is its own belongs to its direction";
+            let strokes = frame.strokes_are_series().then_some(stroke);
+            let why = if frame.scaling.series.is_empty() { Some(none) } else { strokes };
+            why.map(str::to_owned)
+        },
+        columns: |_, frame| {
+            let (first, others) = frame.scaling.series.split_first()?;
+            let own = |group: u32, series: u32| f64::from(u8::from(group == series && !frame.new_rows));
+            let shift = |s: &u32| frame.groups.iter().map(|g| own(*g, *s) - own(*g, *first)).collect();
+            Some(others.iter().map(shift).collect())
+        },
+        ..ScalarEffect::new(
+            ZERO_BY_SERIES,
+            "Each series has a zero of its own: subtract the zero reading of its series from a reading.",
+            vec![shifts],
+        )
+    }
+}
+
+/// A count that starts again at zero: one jump by its modulus between neighbouring places, the same slope on both sides.
+pub fn count_wrap() -> ScalarEffect {
+    ScalarEffect {
+        not_observable: |frame| {
+            let none = frame.scaling.wraps.is_empty();
+            none.then(|| "no jump by the whole range of a count between neighbouring places".to_owned())
+        },
+        columns: |_, frame| {
+            let wraps = &frame.scaling.wraps;
+            let passed = |x: f64| wraps.iter().filter(|place| x > **place).count() as f64;
+            Some(vec![frame.rows.iter().map(|r| passed(r.x)).collect()])
+        },
+        ..ScalarEffect::new(
+            "count-wrap",
+            "The count starts again within the range: take the jump off the readings beyond it.",
+            vec![law("modulus").column("jump", "response")],
+        )
+    }
+}

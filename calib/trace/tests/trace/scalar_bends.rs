@@ -1,0 +1,279 @@
+//! The field's laws compete: which bend, whose zero, whose clock. SIMULATED, each with a control.
+
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+use wcal_core::Sealed;
+use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRow};
+use wcal_core::verify_document::Verdict;
+use wcal_trace::method::options::Options;
+use wcal_trace::scalar::{ScalarData, ScalarVerification, verify_scalar};
+use wcal_trace::verify::VerifyRequest;
+
+struct Noise(rand_chacha::ChaCha8Rng);
+
+impl Noise {
+    fn new(seed: u64) -> Self {
+        Self(rand_chacha::ChaCha8Rng::seed_from_u64(seed))
+    }
+    fn next(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.0)
+    }
+}
+
+/// A reading: stimulus, time, series.
+type At = (f64, Option<f64>, Option<u32>);
+
+/// A transducer in the units `[stimulus, response]`, its readings in this order.
+fn table(
+    units: [&str; 2],
+    model: TransducerModel,
+    at: &[At],
+    mut response: impl FnMut(usize, f64) -> f64,
+) -> TransducerData {
+    let row = |(k, (x, t_s, series)): (usize, &At)| TransducerRow {
+        source: "simulated".into(),
+        line: k + 2,
+        point: k as i64,
+        role: Role::Calibration,
+        stimulus: *x,
+        response: response(k, *x),
+        t_s: *t_s,
+        temperature_degc: None,
+        direction: None,
+        replicate: *series,
+        covariates: Vec::new(),
+    };
+    TransducerData {
+        stimulus_unit: units[0].into(),
+        response_unit: units[1].into(),
+        model,
+        covariates: Vec::new(),
+        rows: at.iter().enumerate().map(row).collect(),
+    }
+}
+
+fn run(data: &TransducerData) -> ScalarVerification {
+    let search = Options { seed: 1, draws: 400, largest: 2, ..Options::default() };
+    let request = VerifyRequest { search, ..VerifyRequest::default() };
+    verify_scalar("simulated", ScalarData::Transducer(data), Sealed::default(), &request).unwrap()
+}
+
+/// `count` places from `low` to `high`, `times` over.
+fn places(low: f64, high: f64, count: usize, times: usize) -> Vec<At> {
+    let place = |k: usize| low + (high - low) * (k % count) as f64 / (count - 1) as f64;
+    (0..times * count).map(|k| (place(k), None, None)).collect()
+}
+
+/// Verdict and names of a session.
+fn answer(v: &ScalarVerification) -> (Verdict, Vec<&str>) {
+    (v.document.verdict, v.document.effects.iter().map(|e| e.id.as_str()).collect())
+}
+
+/// A session that is explained by `names`, to within `error` on readings left out.
+fn explained(v: &ScalarVerification, names: &[&str], error: f64) {
+    assert_eq!(answer(v), (Verdict::Effect, names.to_vec()), "{}", v.document.reason);
+    let left_out = v.document.after.as_ref().unwrap().rmse["response_rmse"];
+    assert!(left_out < error, "{names:?}: {left_out}");
+}
+
+fn value(v: &ScalarVerification, name: &str) -> f64 {
+    v.document.effects.iter().flat_map(|e| &e.parameters).find(|p| p.name == name).unwrap().value
+}
+
+#[test]
+fn each_bend_has_its_name() {
+    let (linear, mut rng) = (TransducerModel::Linear, Noise::new(1));
+    let of = |at: &[At], units, model, f: &mut dyn FnMut(usize, f64) -> f64| run(&table(units, model, at, f));
+    let (n, v) = (["N", "V"], ["degC", "ohm"]);
+    let wide = places(-10.0, 10.0, 41, 2);
+    // Slopes of 2 and 3.2 beyond 4; a fifth of a slope is no dead zone, a tenth is.
+    let two = of(&wide, n, linear, &mut |_, x| 2.0 * x + 1.2 * (x - 4.0).max(0.0) + 0.02 * rng.next());
+    explained(&two, &["knee"], 0.03);
+    assert!((value(&two, "slope_gained") - 0.6).abs() < 0.01 && (value(&two, "knee") - 4.0).abs() < 0.1);
+    let dead = of(&wide, n, linear, &mut |_, x| 2.0 * (x - 0.9 * x.clamp(-1.2, 1.2)) + 0.02 * rng.next());
+    explained(&dead, &["dead-zone"], 0.03);
+    let flat = of(&wide, n, linear, &mut |_, x| 3.0 * (x / 6.0).tanh() + 0.002 * rng.next());
+    explained(&flat, &["nonlinearity-polynomial"], 0.005);
+    // A thermistor of 3950 K, and the platinum of IEC 60751 below 0 degC.
+    let warm = places(-20.0, 100.0, 25, 2);
+    let thermistor = |t: f64| 1e4 * f64::exp(3950.0 / (t + 273.15) - 3950.0 / 298.15);
+    let ntc = of(&warm, v, linear, &mut |_, t| thermistor(t) + rng.next());
+    explained(&ntc, &["logarithmic-scale"], 1.6);
+    assert!((value(&ntc, "b") / 3950.0 - 1.0).abs() < 0.001);
+    let cold = places(-80.0, 200.0, 15, 2);
+    let platinum = |t: f64| {
+        let below = if t < 0.0 { -4.183e-12 * (t - 100.0) * t.powi(3) } else { 0.0 };
+        100.0 * (1.0 + 3.9083e-3 * t - 5.775e-7 * t * t + below)
+    };
+    let pt100 = of(&cold, v, TransducerModel::Quadratic, &mut |_, t| platinum(t) + 4e-4 * rng.next());
+    explained(&pt100, &["callendar-van-dusen"], 7e-4);
+    // Control: in another unit the same readings are a bend like any other, and a line is none.
+    let named = of(&cold, n, TransducerModel::Quadratic, &mut |_, t| platinum(t) + 4e-4 * rng.next());
+    assert!(!answer(&named).1.contains(&"callendar-van-dusen"), "{:?}", answer(&named));
+    let line = of(&wide, n, linear, &mut |_, x| 2.0 * x + 0.02 * rng.next());
+    assert_eq!(answer(&line), (Verdict::Adequate, Vec::new()));
+}
+
+#[test]
+fn a_bend_under_slow_noise_is_never_adequate_and_never_another_one_alone() {
+    // 400 readings of one rising sweep; noise that remembers 20 of them.
+    let dense = |seed: u64, square: f64| {
+        let (mut rng, mut slow, decay) = (Noise::new(seed), 0.0, f64::exp(-0.05));
+        let at: Vec<At> = (0..400).map(|k| (f64::from(k) / 285.0, Some(0.1 * f64::from(k)), None)).collect();
+        run(&table(["l/s", "kPa"], TransducerModel::Linear, &at, |_, q| {
+            slow = decay * slow + 0.02 * (1.0 - decay * decay).sqrt() * rng.next();
+            0.4 * q + square * q * q + slow
+        }))
+    };
+    let bent: Vec<ScalarVerification> = (0..8u64).into_par_iter().map(|s| dense(s, 0.3)).collect();
+    for v in &bent {
+        let holds = v.document.alternatives.iter().any(|a| a == &["nonlinearity-quadratic"]);
+        assert!(holds && v.document.verdict != Verdict::Adequate, "{}", v.document.reason);
+    }
+    // Control: no bend.
+    let straight: Vec<ScalarVerification> = (0..8u64).into_par_iter().map(|s| dense(s, 0.0)).collect();
+    let right = straight.iter().filter(|v| v.document.verdict == Verdict::Adequate).count();
+    assert!(right >= 6, "{right}");
+}
+
+#[test]
+fn one_rising_series_names_no_law_of_the_time() {
+    let mut rng = Noise::new(3);
+    let rising: Vec<At> = (0..26).map(|k| (10.0 * f64::from(k), Some(30.0 * f64::from(k)), None)).collect();
+    let mut of = |at: &[At]| {
+        run(&table(["N", "V"], TransducerModel::Linear, at, |k, x| {
+            // What a clock of the same pace does, too.
+            let settled = -0.3 * f64::exp(-at[k].1.unwrap() / 200.0);
+            0.1 * x + settled + 0.003 * rng.next()
+        }))
+    };
+    let v = of(&rising);
+    let (_, names) = answer(&v);
+    assert!(names.iter().all(|n| n.starts_with("nonlinearity")) && !names.is_empty(), "{names:?}");
+    let asked = |v: &ScalarVerification| v.document.notes.iter().any(|n| n.contains("a falling series"));
+    assert!(asked(&v), "{:?}", v.document.notes);
+    // Control: the loads in another order.
+    let mixed: Vec<At> =
+        (0..26).map(|k| (10.0 * f64::from(k * 7 % 26), Some(30.0 * f64::from(k)), None)).collect();
+    let v = of(&mixed);
+    assert_eq!(answer(&v), (Verdict::Effect, vec!["creep"]), "{}", v.document.reason);
+    assert!(!asked(&v));
+}
+
+#[test]
+fn a_loop_that_closes_at_both_ends_is_hysteresis_in_the_order_of_the_rows() {
+    let strokes: Vec<At> = (0..60)
+        .map(|k| (k % 20, if k % 20 <= 10 { k % 20 } else { 20 - k % 20 }))
+        .map(|(_, x)| (f64::from(x), None, None))
+        .collect();
+    let with = |half_loop: f64| {
+        let mut rng = Noise::new(4);
+        run(&table(["MPa", "mV"], TransducerModel::Linear, &strokes, |k, x| {
+            let way = if k % 20 <= 10 { -1.0 } else { 1.0 };
+            0.2 * x + way * half_loop * (1.0 - (x / 5.0 - 1.0).powi(2)) + 5e-4 * rng.next()
+        }))
+    };
+    let v = with(3e-3);
+    explained(&v, &["hysteresis"], 7e-4);
+    assert!((value(&v, "half_loop") / -3e-3 - 1.0).abs() < 0.1, "{}", value(&v, "half_loop"));
+    assert!(v.document.notes.iter().any(|n| n.contains("order of the readings")), "{:?}", v.document.notes);
+    // Control: no loop.
+    assert_eq!(answer(&with(0.0)), (Verdict::Adequate, Vec::new()));
+}
+
+#[test]
+fn an_encoder_errs_once_and_twice_a_turn_and_its_count_wraps() {
+    let mut rng = Noise::new(5);
+    let turn = places(0.0, 350.0, 36, 2);
+    let of = |f: &mut dyn FnMut(f64) -> f64| {
+        run(&table(["deg", "counts"], TransducerModel::Linear, &turn, |_, a| f(a)))
+    };
+    let ideal = |a: f64| 16_384.0 * a / 360.0;
+    let waves = |a: f64| {
+        let phase = TAU * a / 360.0;
+        60.0 * (phase + 0.4).sin() + 14.0 * (2.0 * phase).cos()
+    };
+    let v = of(&mut |a| (ideal(a) + waves(a) + 2.0 * rng.next()).round());
+    explained(&v, &["periodic"], 2.6);
+    let mut periods = [value(&v, "period"), value(&v, "period_2")];
+    periods.sort_by(f64::total_cmp);
+    assert_eq!(periods, [180.0, 360.0]);
+    let v = of(&mut |a| (ideal(a) + 5000.0 + 2.0 * rng.next()).round().rem_euclid(16_384.0));
+    explained(&v, &["count-wrap"], 2.6);
+    assert!((value(&v, "jump") + 16_384.0).abs() < 5.0);
+    // Control: a true count.
+    let v = of(&mut |a| (ideal(a) + 2.0 * rng.next()).round());
+    assert_eq!(answer(&v), (Verdict::Adequate, Vec::new()));
+}
+
+#[test]
+fn each_mounting_has_its_own_zero() {
+    let mut rng = Noise::new(6);
+    let at: Vec<At> = (0..44).map(|k| (f64::from(k % 11), None, Some(1 + k as u32 / 11))).collect();
+    let zeros = [0.02, -0.03, 0.005, 0.012];
+    let v = run(&table(["kN", "mV/V"], TransducerModel::Linear, &at, |k, x| {
+        0.2 * x + zeros[k / 11] + 3e-4 * rng.next()
+    }));
+    explained(&v, &["zero-by-series"], 4e-4);
+    // A further mounting is known to the scatter of the zeros, 0.02.
+    let model = v.model.as_ref().unwrap();
+    let new = wcal_trace::scalar::ScalarRow {
+        cycle: Some(9),
+        ..(&table(["kN", "mV/V"], TransducerModel::Linear, &at[..1], |_, x| x).rows[0]).into()
+    };
+    let half = model.predict(&[new]).unwrap()[0].half95;
+    assert!((0.03..0.08).contains(&half), "{half}");
+    // Control: tared.
+    let v = run(&table(["kN", "mV/V"], TransducerModel::Linear, &at, |_, x| 0.2 * x + 3e-4 * rng.next()));
+    assert_eq!(answer(&v), (Verdict::Adequate, Vec::new()));
+}
+
+#[test]
+fn a_creep_test_begins_with_its_load_and_a_warm_up_is_told_from_two_loads() {
+    let mut rng = Noise::new(7);
+    // OIML R 60: half an hour with the load, half an hour without.
+    let minutes = (1..=30).map(f64::from);
+    let part = |from: f64, load: f64| {
+        [20.0, 30.0]
+            .into_iter()
+            .chain(minutes.clone().map(|m| 60.0 * m))
+            .map(move |t| (load, Some(from + t), None))
+    };
+    let at: Vec<At> = part(0.0, 500.0).chain(part(1800.0, 0.0)).collect();
+    let of = |fraction: f64, rng: &mut Noise| {
+        run(&table(["kg", "mV/V"], TransducerModel::Linear, &at, |k, x| {
+            let since = |t: f64| 500.0 * (1.0 - f64::exp(-t / 480.0));
+            let t = at[k].1.unwrap();
+            let slow = if x > 0.0 { since(t) } else { since(1800.0) * f64::exp(-(t - 1800.0) / 480.0) };
+            4e-3 * (x + fraction * slow) + 5e-6 * rng.next()
+        }))
+    };
+    let v = of(3e-4, &mut rng);
+    explained(&v, &["creep"], 8e-6);
+    assert!((value(&v, "creep_fraction") / 3e-4 - 1.0).abs() < 0.05);
+    assert_eq!(answer(&of(0.0, &mut rng)), (Verdict::Adequate, Vec::new()));
+    // A warm-up while three loads take turns: without one of them the others still determine it.
+    let loads = [0.0, 2.0, 5.0];
+    let at: Vec<At> = (0..45).map(|k| (loads[k % 3], Some(120.0 * k as f64), None)).collect();
+    let v = run(&table(["kg", "counts"], TransducerModel::Linear, &at, |k, x| {
+        2000.0 + 4200.0 * x - 900.0 * f64::exp(-at[k].1.unwrap() / 900.0) + 8.0 * rng.next()
+    }));
+    explained(&v, &["creep"], 14.0);
+}
+
+#[test]
+fn a_deviation_needs_no_slope() {
+    let mut rng = Noise::new(8);
+    let at = places(20.0, 30.0, 12, 1);
+    let of = |unit: &str, rng: &mut Noise| {
+        run(&table(["degC", unit], TransducerModel::Linear, &at, |_, _| -0.14 + 0.006 * rng.next()))
+    };
+    for unit in ["degC", "K"] {
+        assert_eq!(answer(&of(unit, &mut rng)), (Verdict::Adequate, Vec::new()));
+    }
+    // Control: a signal that does not follow its stimulus is none.
+    let v = of("V", &mut rng);
+    assert!(v.document.reason.contains("does not depend"), "{}", v.document.reason);
+}

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_vision::calibrate::board::{Board, Pattern, TagOrder};
 use wcal_vision::calibrate::chessboard::BoardSize;
+use wcal_vision::calibrate::export::kalibr_distance_px;
 use wcal_vision::calibrate::folders::calibrate_folders;
 use wcal_vision::camera::{Lens, OPENCV5, lens_named, lenses};
 use wcal_vision::pairs::list_pictures;
@@ -46,7 +47,10 @@ pub struct StereoCalibrateArgs {
     /// Dictionary (ChArUco) or family (AprilGrid)
     #[arg(long, value_name = "NAME")]
     pub dictionary: Option<String>,
-    /// Model of both cameras' lenses: opencv5 (five coefficients) for normal and mildly wide ones, fisheye (Kannala-Brandt, equidistant) for fields up to nearly 180 degrees
+    /// Number of the first tag (AprilGrid); where the pictures show another row of numbers they are taken, and said
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub first_tag: u32,
+    /// Model of both cameras' lenses: opencv5 (five coefficients) for normal and mildly wide ones, fisheye (Kannala-Brandt, equidistant) for wide fields, also of more than 180 degrees
     #[arg(long, value_name = "MODEL", default_value = OPENCV5.model(), value_parser = PossibleValuesParser::new(lenses().map(Lens::model)))]
     pub lens: String,
     /// Folder for stereo.json and its exports
@@ -83,6 +87,9 @@ const RESULT: ResultKind<'_> = ResultKind {
 /// Smallest side of a square, mm; other programs ask for metres.
 const MIN_SQUARE_MM: f64 = 0.5;
 
+/// Distance of Kalibr's camera from the calibrated one that matters: corners are good to less than this, px.
+const KALIBR_APART_PX: f64 = 0.5;
+
 /// Runs the command: 0, or 3 where views were left out or warnings matter.
 ///
 /// # Errors
@@ -114,7 +121,10 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
         aprilgrid => Pattern::AprilGrid {
             gap_mm: marker()?,
             family: args.dictionary.clone().unwrap_or_else(|| "tag36h11".into()),
-            order: TagOrder::all().find(|o| o.0 == aprilgrid).map(|o| o.1).unwrap_or_default(),
+            order: TagOrder {
+                first: args.first_tag,
+                ..TagOrder::all().find(|o| o.0 == aprilgrid).map(|o| o.1).unwrap_or_default()
+            },
         },
     };
     let lens = lens_named(&args.lens, Lens::model).map_err(anyhow::Error::msg)?;
@@ -138,6 +148,14 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
     }
     out.put("stereo.json", text.as_str());
     out.finish()?;
+    let apart_px = kalibr_distance_px(&document)?;
+    let far = apart_px > KALIBR_APART_PX;
+    if apart_px > 0.001 {
+        let warning = if far { "warning: " } else { "" };
+        eprintln!(
+            "stereo-calibrate: {warning}kalibr-camchain.yaml has four coefficients for five, fitted over the picture: at most {apart_px:.2} px apart"
+        );
+    }
     if document.provenance.simulated {
         eprintln!("stereo-calibrate: SIMULATED: the pictures are rendered, not taken");
     }
@@ -155,6 +173,6 @@ pub fn run(args: &StereoCalibrateArgs) -> anyhow::Result<ExitCode> {
     if args.json {
         println!("{text}");
     }
-    let clean = document.rejected_views.is_empty() && document.warnings.is_empty();
+    let clean = document.rejected_views.is_empty() && document.warnings.is_empty() && !far;
     Ok(if clean { ExitCode::SUCCESS } else { ExitCode::from(3) })
 }

@@ -1,6 +1,7 @@
 //! Column mapping: cells of the foreign table under the session's names.
 
 use super::arguments::{Declared, ImportArgs, Kind, split_factor};
+use super::imported::is_uncertainty;
 use super::units;
 use anyhow::{Context, bail, ensure};
 use wcal_core::TransducerModel;
@@ -169,6 +170,10 @@ impl Plan {
             if count > 1 {
                 let text = format!("{count} columns named {column} with the same cells; counted once");
                 plan.warnings.push(format!("{}: {text}", table.file));
+            }
+            if !SCALAR_COLUMNS.contains(&name.as_str()) && is_uncertainty(&column) {
+                let text = "looks like an uncertainty: as a covariate it counts as a cause";
+                plan.warnings.push(format!("{}: {column} {text}", table.file));
             }
             let unit_mm = error_unit_mm(&name).filter(|_| args.kind == Kind::Axis);
             let times = if name == "t_s" { table.stamps_s(index)? } else { None };

@@ -131,7 +131,7 @@ pub(super) fn say(
 }
 
 /// Whether a column's name says that it holds uncertainties: `u_p_kpa`, `U(F)`, `sd`, `std_dev`, `Unsicherheit`.
-fn is_uncertainty(name: &str) -> bool {
+pub(super) fn is_uncertainty(name: &str) -> bool {
     let name = name.to_lowercase();
     let word =
         |w: &str| matches!(w, "u" | "sd" | "std" | "stdev" | "stddev" | "sigma" | "unc" | "stderr" | "se");

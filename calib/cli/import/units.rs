@@ -29,7 +29,12 @@ pub(super) fn factor(
     let Some((_, to, option)) = FIXED.iter().find(|(fixed, ..)| *fixed == name) else { return Ok(1.0) };
     let (file, column, below) = (&table.file, &table.columns[index], below(table, index));
     let mut found: Option<(&str, f64)> = None;
-    let stated = unit_in_name(column, to).into_iter().chain(bracketed(column)).chain(below);
+    // A temperature in another unit is refused wherever that stands.
+    let last = column.rsplit(['_', ' ']).next().filter(|unit| {
+        name == "temperature_degc"
+            && ["K", "degF"].iter().any(|t| matches!(relation(unit, t), Relation::Times(_)))
+    });
+    let stated = unit_in_name(column, to).into_iter().chain(bracketed(column)).chain(last).chain(below);
     for unit in stated {
         match (relation(unit, to), found) {
             (Relation::Times(factor), None) => found = Some((unit, factor)),

@@ -88,8 +88,10 @@ pub fn name_of(text: &str) -> String {
 /// Names in a line, the mark of a comment before them left out; empty cells at its end name nothing.
 fn names(cells: &StringRecord) -> Vec<String> {
     let mut names: Vec<String> = cells.iter().map(name_of).collect();
-    if let Some(bare) = names.first().and_then(|first| first.strip_prefix(['#', '%'])).map(name_of) {
-        if bare.is_empty() { drop(names.remove(0)) } else { names[0] = bare }
+    // A column may be called # itself.
+    let bare = names.first().and_then(|first| first.strip_prefix(['#', '%'])).map(name_of);
+    if let Some(bare) = bare.filter(|bare| !bare.is_empty()) {
+        names[0] = bare;
     }
     while names.len() > 1 && names.last().is_some_and(String::is_empty) {
         names.pop();
@@ -126,14 +128,15 @@ impl Form {
             form.remarks.push(format!("comments in line(s) {}", lines(&comments)));
         }
         form.units.clone_from(&preamble.units);
-        form.take(place.file, all, place.asked)?;
+        form.take(place, all)?;
         form.units.resize(form.columns.len(), String::new());
         form.complete(preamble);
         Ok(form)
     }
 
     /// Takes the rows: of each part between two headers what is left without the lines of text below its header and at its end.
-    fn take(&mut self, file: &str, all: Vec<Record>, asked: &[String]) -> Result<(), InputError> {
+    fn take(&mut self, place: &Place<'_>, all: Vec<Record>) -> Result<(), InputError> {
+        let stated = place.stated.is_some() && place.skipped == 0;
         let numeric = numeric_columns(&all, self.columns.len());
         let (mut again, mut between, mut foot) = (Vec::new(), Vec::new(), Vec::new());
         let mut parts = vec![Vec::new()];
@@ -143,7 +146,7 @@ impl Form {
                 parts.push(Vec::new());
                 continue;
             }
-            self.refuse_other_order(file, (line, &cells), asked)?;
+            self.refuse_other_order(place, (line, &cells))?;
             parts.extend(parts.is_empty().then(Vec::new));
             if let Some(part) = parts.last_mut() {
                 part.push((line, cells));
@@ -155,7 +158,8 @@ impl Form {
             let below: Vec<Record> = part.drain(..first).collect();
             if let Some((_, cells)) = below.first() {
                 self.remarks.push(format!("no readings below the header: line(s) {}", lines(&below)));
-                if k == 0 {
+                // Where the columns are stated the first line may be the header that they replace.
+                if k == 0 && !stated {
                     self.units = cells.iter().map(written).collect();
                 }
             }
@@ -188,19 +192,15 @@ impl Form {
     /// A line that names all the columns in another order is the header of another table.
     fn refuse_other_order(
         &self,
-        file: &str,
+        place: &Place<'_>,
         (line, cells): (usize, &StringRecord),
-        asked: &[String],
     ) -> Result<(), InputError> {
-        if asked.is_empty() || !is_text(cells) {
-            return Ok(());
-        }
-        let found = names(cells);
-        if !asked.iter().all(|name| found.contains(name)) {
+        let found = if is_text(cells) { names(cells) } else { Vec::new() };
+        if place.asked.is_empty() || !place.asked.iter().all(|name| found.contains(name)) {
             return Ok(());
         }
         let expected = format!("the columns {}", listed(&self.columns));
-        let error = InputError::new(file, expected, format!("the columns {}", listed(&found))).at(line);
+        let error = InputError::new(place.file, expected, format!("the columns {}", listed(&found))).at(line);
         Err(error.hint("another table begins there: split the file"))
     }
 
@@ -264,12 +264,40 @@ fn is_text(cells: &StringRecord) -> bool {
     text
 }
 
-/// A line that begins with text and is none of the rows: it has text where these have numbers, or another number of fields.
+/// A line that begins with text and is none of the rows: it has text where these have numbers, another number of fields, or the name of a statistic.
 fn misfits(cells: &StringRecord, numeric: &[bool]) -> bool {
-    let begins =
-        cells.iter().find(|cell| !cell.is_empty()).is_some_and(|cell| content(cell) == Content::Text);
+    let first = cells.iter().find(|cell| !cell.is_empty());
+    let begins = first.is_some_and(|cell| content(cell) == Content::Text);
     let odd = || cells.iter().zip(numeric).any(|(cell, numeric)| *numeric && content(cell) == Content::Text);
-    begins && (cells.len() != numeric.len() || odd())
+    begins && (cells.len() != numeric.len() || odd() || first.is_some_and(is_statistic))
+}
+
+/// Names of what is computed of a column and written below it.
+fn is_statistic(cell: &str) -> bool {
+    const NAMES: [&str; 20] = [
+        "mean",
+        "average",
+        "avg",
+        "median",
+        "sum",
+        "total",
+        "min",
+        "minimum",
+        "max",
+        "maximum",
+        "std",
+        "stdev",
+        "std dev",
+        "sd",
+        "standard deviation",
+        "mittelwert",
+        "mittel",
+        "summe",
+        "stabw",
+        "standardabweichung",
+    ];
+    let word = cell.to_lowercase().replace('.', "");
+    NAMES.contains(&word.trim_end_matches(':').trim())
 }
 
 fn is_comment(cells: &StringRecord) -> bool {

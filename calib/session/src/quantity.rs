@@ -15,7 +15,7 @@ const PREFIXES: [(&str, &str, f64); 8] = [
     ("G", "giga", 1e9),
 ];
 /// Words for them, and other units: in small letters, with the base and the factor (inch, pound-force, kilopond and psi by their definitions).
-const WORDS: [(&str, &str, f64); 43] = [
+const WORDS: [(&str, &str, f64); 44] = [
     ("newton", "N", 1.0),
     ("pascal", "Pa", 1.0),
     ("volt", "V", 1.0),
@@ -58,6 +58,7 @@ const WORDS: [(&str, &str, f64); 43] = [
     ("celsius", "degC", 1.0),
     ("degf", "degF", 1.0),
     ("fahrenheit", "degF", 1.0),
+    ("f", "degF", 1.0),
     ("t", "g", 1e6),
 ];
 /// What at the end of a name, without brackets, more often is something else than a unit: `x_m` is measured, `sensor_in` an input.
@@ -132,7 +133,7 @@ pub fn unit_in_name<'a>(name: &'a str, to: &str) -> Option<&'a str> {
 
 /// A unit as it is repeated in messages and documents.
 pub(crate) fn written(unit: &str) -> String {
-    name_of(unit.trim_matches(['(', ')', '[', ']']))
+    name_of(bracketed(unit).filter(|inner| inner.len() + 2 == unit.trim().len()).unwrap_or(unit))
 }
 
 #[cfg(test)]

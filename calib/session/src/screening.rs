@@ -100,13 +100,15 @@ fn round(value: f64) -> bool {
 /// The codes of a column: usual ones that lie further from its other values than these from each other (round ones, ten times as far), in half of
 /// the rows at most. What a person `set` is a code only where it is no quantity.
 fn codes(values: &[Option<f64>], set: bool) -> Vec<f64> {
-    let known = |v: f64| usual(v) || round(v);
-    let others: Vec<f64> = values.iter().flatten().copied().filter(|v| !known(*v)).collect();
-    let [low, high] =
-        others.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(*v), b.max(*v)]);
-    let share = |code: f64| if usual(code) { 1.0 } else { DECADE };
-    let far =
-        |code: f64| others.len() >= MIN_OTHERS && (low - code).max(code - high) > share(code) * (high - low);
+    let far = |code: f64| {
+        // Other round values may be readings, as in series of decades.
+        let others = values.iter().flatten().filter(|v| !usual(**v) && v.abs() != code.abs());
+        let [low, high] =
+            others.clone().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(*v), b.max(*v)]);
+        let times = if usual(code) { 1.0 } else { DECADE };
+        others.count() >= MIN_OTHERS && (low - code).max(code - high) > times * (high - low)
+    };
+    let known = |code: f64| usual(code) || round(code);
     let few = |code: f64| 2 * values.iter().filter(|v| **v == Some(code)).count() <= values.len();
     let is_code = |code: &f64| code.abs() >= HUGE || (!set && known(*code) && far(*code) && few(*code));
     let mut found: Vec<f64> = values.iter().flatten().copied().filter(is_code).collect();

@@ -86,7 +86,12 @@ fn is_open(text: &str, mark: char) -> bool {
 }
 
 fn split(record: &str, mark: Option<char>) -> StringRecord {
-    let Some(mark) = mark else { return record.split_whitespace().collect() };
+    let Some(mark) = mark else {
+        // The mark of a comment belongs to its first word.
+        let record = record.trim_start();
+        let (comment, rest) = record.strip_prefix('#').map_or(("", record), |rest| ("#", rest));
+        return (comment.to_owned() + rest.trim_start()).split_whitespace().collect();
+    };
     if !record.contains('"') || is_open(record, mark) {
         return record.split(mark).map(str::trim).collect();
     }

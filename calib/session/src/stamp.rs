@@ -62,11 +62,20 @@ impl Form {
             Self::Clock => {
                 let text = plain();
                 let parts: Vec<&str> = text.split(':').collect();
-                let [hours, minutes, seconds] = parts[..] else { return None };
+                // Of two parts the second is one of seconds only where it has a fraction.
+                let (hours, minutes, seconds) = match parts[..] {
+                    [hours, minutes, seconds] => (hours, minutes, seconds),
+                    [minutes, seconds] if seconds.contains('.') => ("0", minutes, seconds),
+                    _ => return None,
+                };
                 let whole = |t: &str| t.bytes().all(|b| b.is_ascii_digit()).then(|| t.parse::<f64>().ok())?;
                 let below = |v: &f64| (0.0..60.0).contains(v);
                 let seconds = seconds.parse::<f64>().ok().filter(below)?;
-                Some(3600.0 * whole(hours)? + 60.0 * whole(minutes).filter(below)? + seconds)
+                Some(
+                    3600.0 * whole(hours)?
+                        + 60.0 * whole(minutes).filter(|m| hours == "0" || below(m))?
+                        + seconds,
+                )
             }
             Self::Halves => {
                 let parse = |form| strtime::parse(form, plain()).and_then(|t| t.to_time());
@@ -153,6 +162,7 @@ mod tests {
             ["23:59:50", "00:00:10"],
             ["11:59:50 PM", "12:00:10 AM"],
             ["24:59:50.0", "25:00:10.0"],
+            ["59:50.5", "60:10.5"],
         ] {
             assert!(stamps.iter().all(|s| is_stamp(s)), "{stamps:?}");
             let found = seconds(&stamps).unwrap();

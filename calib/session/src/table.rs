@@ -369,10 +369,11 @@ impl TextTable {
                 Err(e) => Err(InputError::range(&self.file, e).at(*line)),
             },
             Ok(_) => Err(error("a finite number")),
-            Err(_) if grouped(cell.split('.').next().unwrap_or_default(), &[',']) => {
+            Err(_) if cell.replace(',', "").parse::<f64>().is_ok() => {
                 Err(error("a number")
-                    .hint("a thousands separator, or decimals with a comma (--decimal-comma)?"))
+                    .hint("decimals with a comma (--decimal-comma), or a thousands separator?"))
             }
+            Err(_) if cell.contains(':') => Err(error("a number").hint("a time of the day? write hh:mm:ss")),
             Err(_) => Err(error("a number")),
         }
     }

@@ -41,6 +41,9 @@ impl Stl {
         if !whole && begins_as_text(bytes) {
             return Self::text(bytes);
         }
+        if let Some(form) = other_form(bytes).filter(|_| !whole) {
+            return Err(format!("expected an STL file, found {form}"));
+        }
         match stated {
             Some(n) => Self::binary(bytes, n),
             None => Err(format!(
@@ -144,6 +147,30 @@ fn begins_as_text(bytes: &[u8]) -> bool {
     bytes.get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))
         // A binary header may begin so, too; the numbers after it hold zeros.
         && !bytes[..bytes.len().min(4096)].contains(&0)
+}
+
+/// What a file is that is no STL, by its first bytes, and what to do.
+fn other_form(bytes: &[u8]) -> Option<String> {
+    const MARKS: [(&[u8], &str); 8] = [
+        (b"ply", "PLY"),
+        (b"OFF", "OFF"),
+        (b"glTF", "glTF"),
+        (b"ISO-10303-21", "STEP"),
+        (b"#VRML", "VRML"),
+        (b"<?xml", "XML (Collada, X3D, AMF)"),
+        (b"PK\x03\x04", "3MF or zip"),
+        (b"\x1f\x8b", "gzip"),
+    ];
+    if let Some((_, form)) = MARKS.iter().find(|(mark, _)| bytes.starts_with(mark)) {
+        let way_out = if *form == "gzip" { "unpack it first" } else { "save it as STL" };
+        return Some(format!("{form} ({way_out})"));
+    }
+    // Of Wavefront's OBJ each line begins with a word of its own, and comments with #.
+    const WORDS: [&str; 9] = ["v", "vn", "vt", "f", "o", "g", "s", "mtllib", "usemtl"];
+    let start = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]);
+    let first = start.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with('#'))?;
+    let word = first.split_ascii_whitespace().next()?;
+    WORDS.contains(&word).then(|| "OBJ (save it as STL)".to_owned())
 }
 
 fn check_count(triangles: u64) -> Result<(), String> {

@@ -1,10 +1,11 @@
-//! 8-bit grey pictures: reading with checks that the decoder does not make, and sub-pixel sampling.
+//! Grey pictures of 8 bits: reading, also of 16 bits, with checks that the decoder does not make, and sub-pixel sampling.
 //! Pixel centres lie at integers: (0, 0) is the centre of the first pixel.
 
 use crate::error::{OpenCvContext, VisionError};
 use image::codecs::jpeg::JpegEncoder;
-use image::{DynamicImage, ExtendedColorType};
+use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageReader};
 use opencv::core::Mat;
+use std::io::Cursor;
 use std::path::Path;
 
 /// Quality of a JPEG.
@@ -37,10 +38,11 @@ impl Picture {
         Ok(Self { width, height, data })
     }
 
-    /// Reads a PNG, JPEG or PNM; colours become grey (0.299 R + 0.587 G + 0.114 B, ITU-R BT.601).
+    /// Reads a PNG, JPEG, TIFF, BMP or PNM as it is stored, whatever way up its EXIF orientation says; colours become grey (0.299 R + 0.587 G +
+    /// 0.114 B, ITU-R BT.601), and of 16 bits the upper eight that are in use.
     ///
     /// # Errors
-    /// Where the file is missing, empty, cut off, not a picture or 16-bit.
+    /// Where the file is missing, empty, cut off, not a picture or of floating-point values.
     pub fn read(path: &Path) -> Result<Self, VisionError> {
         let name = path.display().to_string();
         let bytes = wcal_core::files::read(path).map_err(|source| VisionError::Io {
@@ -50,11 +52,7 @@ impl Picture {
         })?;
         check_complete(&name, &bytes)?;
         let decoded = image::load_from_memory(&bytes).map_err(|e| {
-            VisionError::content(
-                name.clone(),
-                "a PNG, JPEG or PNM picture",
-                format!("bytes that do not decode: {e}"),
-            )
+            VisionError::content(name.clone(), KINDS, format!("bytes that do not decode: {e}"))
         })?;
         let (width, height) = (decoded.width() as usize, decoded.height() as usize);
         let data = match decoded {
@@ -62,7 +60,11 @@ impl Picture {
             DynamicImage::ImageRgb8(_) | DynamicImage::ImageRgba8(_) | DynamicImage::ImageLumaA8(_) => {
                 grey_values(decoded.into_rgb8().as_raw())
             }
-            _ => return Err(VisionError::content(name, "8 bits a pixel", "16-bit or floating-point values")),
+            DynamicImage::ImageLuma16(grey) => upper_bits(grey.as_raw()),
+            DynamicImage::ImageRgb16(_) | DynamicImage::ImageRgba16(_) | DynamicImage::ImageLumaA16(_) => {
+                grey_values(&upper_bits(decoded.into_rgb16().as_raw()))
+            }
+            _ => return Err(VisionError::content(name, "8 or 16 bits a pixel", "floating-point values")),
         };
         Self::new(width, height, data)
     }
@@ -138,6 +140,25 @@ impl Picture {
     }
 }
 
+const KINDS: &str = "a PNG, JPEG, TIFF, BMP or PNM picture";
+
+/// Of values of 16 bits the eight that are in use: cameras of 10, 12 and 14 bits store them at the lower end or at the upper one. 255 is their largest
+/// value and no other: saturation is what it was.
+fn upper_bits(values: &[u16]) -> Vec<u8> {
+    let used = values.iter().fold(0, |all, v| all | v);
+    let unused = if used == 0 { 0 } else { used.trailing_zeros().min(8) & !1 };
+    let bits = [8, 10, 12, 14].into_iter().find(|bits| (used >> unused) < 1 << bits).unwrap_or(16);
+    let full = (1u32 << bits) - 1;
+    values.iter().map(|v| (u32::from(v >> unused) * 255 / full) as u8).collect()
+}
+
+/// The EXIF orientation of a picture file, 2 to 8 (CIPA DC-008, tag 274), where it asks that the picture be turned or mirrored.
+pub fn exif_orientation(path: &Path) -> Option<u8> {
+    let bytes = wcal_core::files::read(path).ok()?;
+    let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().ok()?;
+    Some(reader.into_decoder().ok()?.orientation().ok()?.to_exif()).filter(|orientation| *orientation != 1)
+}
+
 /// Grey values of red, green and blue ones.
 fn grey_values(rgb: &[u8]) -> Vec<u8> {
     let pixels = rgb.chunks_exact(3);
@@ -152,7 +173,7 @@ fn grey_values(rgb: &[u8]) -> Vec<u8> {
 /// Decoders fill the missing part of a truncated file with grey; the end markers reveal it.
 fn check_complete(name: &str, bytes: &[u8]) -> Result<(), VisionError> {
     if bytes.is_empty() {
-        return Err(VisionError::content(name, "a PNG, JPEG or PNM picture", "a file of zero bytes"));
+        return Err(VisionError::content(name, KINDS, "a file of zero bytes"));
     }
     let tail = &bytes[bytes.len().saturating_sub(64)..];
     let complete = if bytes.starts_with(b"\x89PNG") {

@@ -108,6 +108,12 @@ fn a_table_is_found_among_the_lines_around_it() {
         assert_eq!((found, &held), (*code, &points(&[])), "{name}: {said}");
         assert!(said.contains(says), "{name}: {said}");
     }
+    // A statistic in a column of labels, and a column that is called #.
+    for head in ["id,load,sig", "#,load,sig"] {
+        let rows = lines(|k, load, sig| format!("P{k},{load},{sig}"));
+        let (code, said, held) = import(&(under(head, &rows) + "Mean:,1500,0.7\n"), &[]);
+        assert_eq!((code, held), (3, points(&[])), "{head}: {said}");
+    }
     let (code, said, _) = import(&half("sig,load\n"), &[]);
     assert!(code == 1 && said.contains("line 6") && said.contains("sig, load"), "{said}");
     let (code, said, _) = import(&under("load,sig", &rows).replace("1.3004", "1.3x04"), &[]);
@@ -136,6 +142,10 @@ fn numbers_and_missing_values_of_other_programs_are_read() {
         let (exit, said, _) = import(&table, &[]);
         assert!(exit == 3 && said.contains("overflow value") && said.contains("line(s) 5"), "{code}: {said}");
     }
+    // Control: decades are readings.
+    let decades: Vec<String> = (0..6).map(|k| format!("{k},1E{k}\n")).collect();
+    let (code, said, _) = import(&under("load,sig", &decades), &[]);
+    assert!(code == 0 && !said.contains("overflow"), "{said}");
     let direction = under("load,sig,way", &lines(|k, x, sig| format!("{x},{sig},{}", ["up", "-"][k / 4])));
     let (_, said, held) = import(&direction, &["--direction", "way"]);
     assert!(held[0].ends_with(",1") && held[4].ends_with(",-1"), "{held:?} {said}");

@@ -121,6 +121,7 @@ fn tag_layouts(stated: &Board, stated_order: TagOrder) -> Vec<Statement> {
     let mut found = Vec::new();
     for (size, exchanged) in sizes(stated.size) {
         for (name, order) in TagOrder::all() {
+            let order = TagOrder { first: stated_order.first, ..order };
             let numbered = format!("tags numbered otherwise (--pattern {name})");
             let changes = [exchanged.clone(), (order != stated_order).then_some(numbered)];
             found.extend(joined(changes).map(|says| (says, board(size, order))));

@@ -37,6 +37,8 @@ pub struct TagOrder {
     pub from_right: bool,
     /// The first tag is at the top.
     pub from_top: bool,
+    /// Number of the first tag.
+    pub first: u32,
 }
 
 impl TagOrder {
@@ -51,9 +53,14 @@ impl TagOrder {
         "aprilgrid-columns-from-upper-right",
     ];
 
-    /// All eight with the names of their patterns, the default one first.
+    /// All eight with the names of their patterns, the default one first; the first tag is 0.
     pub fn all() -> impl Iterator<Item = (&'static str, Self)> {
-        let order = |k: usize| Self { by_columns: k & 4 != 0, from_right: k & 2 != 0, from_top: k & 1 != 0 };
+        let order = |k: usize| Self {
+            by_columns: k & 4 != 0,
+            from_right: k & 2 != 0,
+            from_top: k & 1 != 0,
+            first: 0,
+        };
         Self::NAMES.into_iter().enumerate().map(move |(k, name)| (name, order(k)))
     }
 }

@@ -134,9 +134,9 @@ pub struct StereoDocument {
     /// The board.
     #[serde(default)]
     pub board: BoardDocument,
-    /// Sd of the projection of a point at the board's mean depth over a 3x3 grid of the picture (rows from the top), left and right, px.
+    /// Sd of where a ray appears over a 3x3 grid of the picture (rows from the top), left and right, px; null where the lens sees nothing.
     #[serde(default)]
-    pub projection_sd_px: Vec<Vec<f64>>,
+    pub projection_sd_px: Vec<Vec<Option<f64>>>,
     /// Covariance of left intrinsics, right intrinsics, rotation, translation (24 x 24; 22 x 22 for `fisheye`), units as above.
     #[serde(default)]
     pub covariance: Vec<Vec<f64>>,

@@ -2,14 +2,15 @@
 
 use crate::calibrate::document::StereoDocument;
 use crate::calibrate::import::KALIBR_COEFFICIENTS;
-use crate::camera::{FISHEYE, OPENCV5};
+use crate::camera::{Camera, FISHEYE, OPENCV5};
 use crate::error::{OpenCvContext, VisionError};
 use crate::stereo::StereoCameras;
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 use opencv::calib3d;
 use opencv::core::{Mat, Size};
 use opencv::prelude::*;
 use std::fmt::Write as _;
+use wcal_core::least_squares::{Damping, NormalEquations, minimise};
 
 fn numbers(values: impl IntoIterator<Item = f64>) -> String {
     values.into_iter().map(|v| format!("{v:e}")).collect::<Vec<_>>().join(", ")
@@ -51,8 +52,9 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
     opencv += &matrix("R", 3, 3, (0..9).map(|k| t[k / 3][k % 3]));
     opencv += &matrix("T", 3, 1, (0..3).map(|k| t[k][3]));
     let mut kalibr = mark.to_owned();
-    for (k, camera) in document.cameras.iter().enumerate() {
-        let d = &camera.distortion.coefficients;
+    for (k, (camera, full)) in document.cameras.iter().zip(&stereo.cameras).enumerate() {
+        let KalibrCamera { camera: fitted, farthest_px } = kalibr_camera(full);
+        let [fx, fy, cx, cy, d @ ..] = &fitted.parameters()[..] else { continue };
         let _ = writeln!(kalibr, "cam{k}:");
         if k == 1 {
             let _ = writeln!(kalibr, "  T_cn_cnm1:");
@@ -63,18 +65,16 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
         }
         let _ = writeln!(kalibr, "  camera_model: pinhole");
         let _ = writeln!(kalibr, "  distortion_model: {}", lens.kalibr_model());
-        let _ =
-            write!(kalibr, "  distortion_coeffs: [{}]", numbers(d.iter().take(KALIBR_COEFFICIENTS).copied()));
-        // Kalibr's radtan has no k3: it is written as an extra key, and a reader that ignores it is warned by the comment.
-        let _ = match d.get(KALIBR_COEFFICIENTS) {
-            Some(k3) => writeln!(kalibr, " # k3 = {k3:e} has no place in radtan\n  k3: {k3:e}"),
-            None => writeln!(kalibr),
+        let coefficients = numbers(d.iter().take(KALIBR_COEFFICIENTS).copied());
+        let _ = write!(kalibr, "  distortion_coeffs: [{coefficients}]");
+        let _ = match lens == OPENCV5 {
+            true => writeln!(
+                kalibr,
+                " # for the five of stereo.json, fitted over the picture: at most {farthest_px:.3} px apart"
+            ),
+            false => writeln!(kalibr),
         };
-        let _ = writeln!(
-            kalibr,
-            "  intrinsics: [{}]",
-            numbers([camera.k[0][0], camera.k[1][1], camera.k[0][2], camera.k[1][2]])
-        );
+        let _ = writeln!(kalibr, "  intrinsics: [{}]", numbers([*fx, *fy, *cx, *cy]));
         let _ = writeln!(kalibr, "  resolution: [{w}, {h}]");
         let _ = writeln!(kalibr, "  rostopic: /{}/image_raw", camera.name);
     }
@@ -94,6 +94,66 @@ pub fn exports(document: &StereoDocument) -> Result<Vec<(String, String)>, Visio
         files.push((format!("ros-{}.yaml", camera.name), text));
     }
     Ok(files)
+}
+
+/// A camera with the coefficients that Kalibr has, and how far its pixels lie from those of the camera that it stands for at most.
+struct KalibrCamera {
+    camera: Camera,
+    farthest_px: f64,
+}
+
+/// Kalibr's radtan has k1, k2, p1, p2. Without k3 the other four are another lens, since k2 and k3 balance each other: these and the pinhole are
+/// fitted to the five-coefficient map, by least squares over the picture.
+fn kalibr_camera(full: &Camera) -> KalibrCamera {
+    /// Places along a side of the picture.
+    const GRID: usize = 21;
+    let [w, h] = full.image_size_px.map(|size| size as f64);
+    let place = |k: usize, size: f64| k as f64 * size / (GRID - 1) as f64 - 0.5;
+    let seen: Vec<(Vector2<f64>, Vector3<f64>)> = (0..GRID * GRID)
+        .map(|k| Vector2::new(place(k % GRID, w), place(k / GRID, h)))
+        .filter_map(|px| Some((px, full.ray(&px)?)))
+        .collect();
+    let mut camera = full.clone();
+    if full.lens == OPENCV5 {
+        camera.distortion[KALIBR_COEFFICIENTS] = 0.0;
+        // The pinhole's four parameters and these coefficients.
+        const FREE: usize = 4 + KALIBR_COEFFICIENTS;
+        let linearise = |camera: &Camera| {
+            let mut cost = 0.0;
+            let (mut matrix, mut descent) = (SMatrix::<f64, FREE, FREE>::zeros(), SVector::zeros());
+            for (px, ray) in &seen {
+                let (at, _, by_camera) = camera.project_with_jacobian(ray)?;
+                let (error, j) = (px - at, by_camera.fixed_columns::<FREE>(0));
+                cost += error.norm_squared();
+                matrix += j.transpose() * j;
+                descent += j.transpose() * error;
+            }
+            Some(NormalEquations { cost, matrix, descent })
+        };
+        if let Some(first) = linearise(&camera) {
+            let moved = |camera: &Camera, _: &_, step: &SVector<f64, FREE>| {
+                let step = step.iter().copied().chain([0.0]);
+                let p: Vec<f64> = camera.parameters().into_iter().zip(step).map(|(p, s)| p + s).collect();
+                camera.with_parameters(&p)
+            };
+            let ends = |_: &_, [before, after]: [f64; 2]| before - after < 1e-12 * after;
+            camera = minimise((camera, first), &Damping::default(), linearise, moved, ends).place;
+        }
+    }
+    let apart = seen.iter().filter_map(|(px, ray)| Some((camera.project(ray)? - px).norm()));
+    let farthest_px = apart.fold(0.0, f64::max);
+    KalibrCamera { camera, farthest_px }
+}
+
+/// How far the pixels of kalibr-camchain.yaml lie from those of the calibration at most, px.
+///
+/// # Errors
+/// Where the document is no calibration of two cameras.
+pub fn kalibr_distance_px(document: &StereoDocument) -> Result<f64, VisionError> {
+    let stereo = document
+        .stereo_cameras()
+        .map_err(|found| VisionError::result("export a calibration", "two physical cameras", found))?;
+    Ok(stereo.cameras.iter().map(|camera| kalibr_camera(camera).farthest_px).fold(0.0, f64::max))
 }
 
 /// Rotation (3x3) and projection (3x4, metres) of a rectified camera, row by row.

@@ -2,7 +2,7 @@
 
 use crate::calibrate::board::{Board, Pattern};
 use crate::calibrate::document::{BoardDocument, STEREO_FORMAT, StereoDocument, camera_document};
-use crate::calibrate::markers::BoardLayout;
+use crate::calibrate::markers::{BoardLayout, renumbered};
 use crate::calibrate::solution::{StereoSolution, leave_one_out};
 use crate::calibrate::statements::calibrate_as_stated;
 use crate::calibrate::views::{BoardPairs, board_pairs, with_rejections};
@@ -11,6 +11,7 @@ use crate::error::VisionError;
 use crate::pairs::{list_pictures, pair_files};
 use crate::rigid::rows;
 use nalgebra::{Vector2, Vector3};
+use std::path::Path;
 
 /// Calibrates cameras with lenses of one model from two folders or patterns. `progress` is called with each step.
 ///
@@ -25,19 +26,27 @@ pub fn calibrate_folders(
 ) -> Result<(StereoDocument, StereoSolution), VisionError> {
     let files = pair_files(&list_pictures(left)?, &list_pictures(right)?)?;
     progress(&format!("{} pairs", files.len()));
+    let left: Vec<&Path> = files.iter().filter_map(|f| f.left.as_deref()).collect();
+    let (board, said) = match renumbered(board, &left) {
+        Some(Ok((board, said))) => (board, Some(said)),
+        Some(Err(said)) => (board.clone(), Some(said)),
+        None => (board.clone(), None),
+    };
+    let board = &board;
     let layout = BoardLayout::new(board)?;
     let BoardPairs { size, views, rejected, mut remarks, marker_share } = board_pairs(&files, &layout);
     remarks.extend(layout.contradicts(marker_share));
+    remarks.extend(said.clone());
     let Some(image_size) = size else {
         let none = VisionError::result("calibrate two cameras", "pictures", "none");
-        return Err(with_rejections(views.err().unwrap_or(none), &rejected));
+        return Err(with_rejections(views.err().unwrap_or(none), said.as_deref(), &rejected));
     };
     progress(&format!("{} pairs show the board; solving", views.as_ref().map_or(0, Vec::len)));
     let enough = views.is_ok();
     let (mut solution, noise) =
         calibrate_as_stated(&files, &layout, views, image_size, lens).map_err(|e| {
             let e = if enough { alike_after_half_a_turn(e, board) } else { e };
-            with_rejections(e, &rejected)
+            with_rejections(e, said.as_deref(), &rejected)
         })?;
     solution.warnings.append(&mut remarks);
     let mut document = document(board, image_size, &layout.points, &solution);
@@ -102,43 +111,29 @@ fn document(
             warp_mm: state.warp,
             warp_sd_mm: if solution.warp_used { [sd(warp), sd(warp + 1)] } else { [0.0; 2] },
         },
-        projection_sd_px: projection_sd(points, solution),
+        projection_sd_px: projection_sd(solution),
         covariance: (0..warp).map(|i| (0..warp).map(|j| covariance[(i, j)]).collect()).collect(),
         warnings: solution.warnings.clone(),
         provenance: wcal_core::Provenance::default(),
     }
 }
 
-/// Sd (px) of where a point at the boards' mean depth appears, over a 3x3 grid of each picture, from the intrinsics' covariance.
-fn projection_sd(points: &[Vector3<f64>], solution: &StereoSolution) -> Vec<Vec<f64>> {
-    let state = &solution.bundle.state;
-    let centre = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-    let depth = state.left_from_board.iter().map(|p| (p * nalgebra::Point3::from(centre)).z).sum::<f64>()
-        / state.left_from_board.len().max(1) as f64;
-    (0..2)
-        .map(|c| {
-            let camera = &state.cameras[c];
-            let intrinsics = camera.intrinsics();
-            let block = solution
-                .bundle
-                .shared_covariance
-                .view((c * intrinsics, c * intrinsics), (intrinsics, intrinsics));
-            let [w, h] = camera.image_size_px.map(|v| v as f64);
-            (0..9)
-                .map(|k| {
-                    let px =
-                        Vector2::new(w * (f64::from(k % 3) + 0.5) / 3.0, h * (f64::from(k / 3) + 0.5) / 3.0);
-                    camera
-                        .undistort(&px)
-                        .and_then(|n| {
-                            camera.project_with_jacobian(&Vector3::new(n.x * depth, n.y * depth, depth))
-                        })
-                        .map_or(f64::NAN, |(_, _, j)| {
-                            let j = j.columns(0, intrinsics);
-                            ((j * block * j.transpose()).trace() / 2.0).sqrt()
-                        })
-                })
-                .collect()
-        })
-        .collect()
+/// Sd (px) of where a ray appears, over a 3x3 grid of each picture, from the intrinsics' covariance; none where the lens sees nothing.
+fn projection_sd(solution: &StereoSolution) -> Vec<Vec<Option<f64>>> {
+    let of_camera = |c: usize| {
+        let camera = &solution.bundle.state.cameras[c];
+        let intrinsics = camera.intrinsics();
+        let shared = &solution.bundle.shared_covariance;
+        let block = shared.view((c * intrinsics, c * intrinsics), (intrinsics, intrinsics));
+        let [w, h] = camera.image_size_px.map(|v| v as f64);
+        let at = |k: u32| {
+            let place = |size: f64, k: u32| size * (f64::from(k) + 0.5) / 3.0;
+            let ray = camera.ray(&Vector2::new(place(w, k % 3), place(h, k / 3)))?;
+            let (_, _, by_camera) = camera.project_with_jacobian(&ray)?;
+            let j = by_camera.columns(0, intrinsics);
+            Some(((j * block * j.transpose()).trace() / 2.0).sqrt()).filter(|sd| sd.is_finite())
+        };
+        (0..9).map(at).collect()
+    };
+    (0..2).map(of_camera).collect()
 }

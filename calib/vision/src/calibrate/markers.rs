@@ -9,6 +9,7 @@ use crate::error::{OpenCvContext, VisionError};
 use crate::homography::{homography, mapped};
 use crate::median::median;
 use crate::picture::Picture;
+use crate::tags::apriltag_ffi::{FAMILIES, WIDE_BORDER};
 use crate::tags::detection::{Search, Tag, find_tags};
 use crate::tags::tag_corners;
 use nalgebra::{Vector2, Vector3};
@@ -18,6 +19,7 @@ use opencv::aruco::{
 };
 use opencv::core::{Mat, Point2f, Ptr, Vector};
 use std::collections::BTreeMap;
+use std::path::Path;
 
 /// A board ready for detection.
 #[derive(Clone)]
@@ -81,7 +83,7 @@ impl BoardLayout {
         let BoardSize { columns, rows } = board.size;
         let (points, places) = match &board.pattern {
             Pattern::AprilGrid { gap_mm, order, .. } => {
-                let TagOrder { by_columns, from_right, from_top } = *order;
+                let TagOrder { by_columns, from_right, from_top, .. } = *order;
                 // Four corners a tag, in the tags' order; y points down.
                 let corners_of = |k: usize| {
                     let (i, j) = if by_columns { (k / rows, k % rows) } else { (k % columns, k / columns) };
@@ -164,7 +166,7 @@ pub fn corners(board: &BoardLayout, picture: &Picture) -> Result<MarkerView, Str
         Pattern::Charuco { marker_mm, dictionary, legacy } => {
             charuco_corners(&board.board, (*marker_mm, dictionary, *legacy), picture)
         }
-        Pattern::AprilGrid { family, .. } => board.tag_corners(family, picture),
+        Pattern::AprilGrid { family, order, .. } => board.tag_corners(family, order.first, picture),
     }
     .map_err(|e| e.to_string())?;
     let count = found.corners.iter().flatten().count();
@@ -264,12 +266,12 @@ fn marker_share(size: BoardSize, corners: &Corners, markers: &Vector<Vector<Poin
 
 impl BoardLayout {
     /// Corners of the grid's tags. Of a tag that is seen twice that one counts which lies where the others put it.
-    fn tag_corners(&self, family: &str, picture: &Picture) -> Result<MarkerView, VisionError> {
+    fn tag_corners(&self, family: &str, first: u32, picture: &Picture) -> Result<MarkerView, VisionError> {
         let places = &self.places;
         let mut seen: BTreeMap<usize, Vec<Tag>> = BTreeMap::new();
-        for tag in find_tags(picture, family, None, Search::Whole)? {
-            if tag.refined && (tag.id as usize) < self.tags() {
-                seen.entry(tag.id as usize).or_default().push(tag);
+        for tag in board_tags(picture, family, self.tags())?.into_iter().filter(|tag| tag.refined) {
+            if let Some(place) = tag.id.checked_sub(first).filter(|place| (*place as usize) < self.tags()) {
+                seen.entry(place as usize).or_default().push(tag);
             }
         }
         let once = seen.iter().filter(|(_, tags)| tags.len() == 1);
@@ -279,7 +281,7 @@ impl BoardLayout {
         let (mut out, mut remarks) = (vec![None; self.points.len()], Vec::new());
         for (id, mut tags) in seen {
             if tags.len() > 1 {
-                remarks.push(format!("tag {id} is seen {} times: counted once", tags.len()));
+                remarks.push(format!("tag {} is seen {} times: counted once", tags[0].id, tags.len()));
                 let Some(expected) = grid.as_ref().and_then(|h| mapped(h, &places[4 * id].cell)) else {
                     continue;
                 };
@@ -292,4 +294,52 @@ impl BoardLayout {
         }
         Ok(MarkerView { corners: out, remarks, marker_share: None })
     }
+}
+
+/// The tags of a board, whose border may be of one cell or two: the same picture shows no tags of the other kind, but by chance. Where some of the
+/// `wanted` are missing they are searched for apart from the squares that touch them.
+fn board_tags(picture: &Picture, family: &str, wanted: usize) -> Result<Vec<Tag>, VisionError> {
+    let wide = family.to_owned() + WIDE_BORDER;
+    let kinds = [family, &wide].into_iter().filter(|kind| *kind == family || FAMILIES.contains(kind));
+    let mut best = Vec::new();
+    for kind in kinds {
+        let mut tags = find_tags(picture, kind, None, Search::Whole)?;
+        if tags.len() < wanted {
+            let more = find_tags(picture, kind, None, Search::Apart)?;
+            let known: Vec<u32> = tags.iter().map(|tag| tag.id).collect();
+            tags.extend(more.into_iter().filter(|tag| !known.contains(&tag.id)));
+        }
+        if tags.len() > best.len() {
+            best = tags;
+        }
+    }
+    Ok(best)
+}
+
+/// The board with the first tag that its pictures show, where that is another than stated, and what is to be said of it; in words where they do not
+/// tell it.
+pub(crate) fn renumbered(board: &Board, pictures: &[&Path]) -> Option<Result<(Board, String), String>> {
+    /// Pictures that are looked at, and those of them that show a number which is none by chance.
+    const LOOK: usize = 8;
+    const SEEN: usize = 2;
+    let Pattern::AprilGrid { family, order, gap_mm } = &board.pattern else { return None };
+    let tags = board.size.columns * board.size.rows;
+    let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
+    for path in pictures.iter().step_by(pictures.len().div_ceil(LOOK).max(1)) {
+        let seen = Picture::read(path).and_then(|picture| board_tags(&picture, family, tags));
+        seen.unwrap_or_default().iter().for_each(|tag| *counts.entry(tag.id).or_default() += 1);
+    }
+    counts.retain(|_, count| *count >= SEEN);
+    let (low, high) = (*counts.keys().next()?, *counts.keys().next_back()?);
+    let last = order.first + tags as u32 - 1;
+    if low >= order.first && high <= last {
+        return None;
+    }
+    let seen = format!("tags {low} to {high} are seen, the stated board has {} to {last}", order.first);
+    if (high - low) as usize + 1 != tags {
+        return Some(Err(format!("{seen} (--first-tag states the first, --board how many)")));
+    }
+    let order = TagOrder { first: low, ..*order };
+    let pattern = Pattern::AprilGrid { family: family.clone(), order, gap_mm: *gap_mm };
+    Some(Ok((Board { pattern, ..board.clone() }, format!("{seen}: taken as --first-tag {low}"))))
 }

@@ -6,20 +6,23 @@ use crate::calibrate::markers::{self, BoardLayout, MarkerView};
 use crate::error::VisionError;
 use crate::median::median;
 use crate::pairs::PairFiles;
-use crate::picture::Picture;
+use crate::picture::{Picture, exif_orientation};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::hash::{BuildHasher, BuildHasherDefault, DefaultHasher};
+use std::path::PathBuf;
 
-/// Adds to a refusal the reasons why views were missing.
-pub(crate) fn with_rejections(error: VisionError, rejected: &[RejectedView]) -> VisionError {
+/// Adds to a refusal what was said of the pictures, and the reasons why views were missing.
+pub(crate) fn with_rejections(
+    error: VisionError,
+    said: Option<&str>,
+    rejected: &[RejectedView],
+) -> VisionError {
     match error {
-        VisionError::Result { action, expected, found } if !rejected.is_empty() => {
-            let mut reasons: Vec<String> =
-                rejected.iter().take(4).map(|r| format!("{}: {}", r.view, r.why)).collect();
-            if rejected.len() > 4 {
-                reasons.push(format!("and {} more", rejected.len() - 4));
-            }
+        VisionError::Result { action, expected, found } if said.is_some() || !rejected.is_empty() => {
+            let each = rejected.iter().take(4).map(|r| format!("{}: {}", r.view, r.why));
+            let more = (rejected.len() > 4).then(|| format!("and {} more", rejected.len() - 4));
+            let reasons: Vec<String> = said.map(str::to_owned).into_iter().chain(each).chain(more).collect();
             VisionError::Result { action, expected, found: format!("{found} ({})", reasons.join("; ")) }
         }
         other => other,
@@ -78,6 +81,26 @@ fn read(files: &PairFiles, board: &BoardLayout) -> Result<Read, String> {
     })
 }
 
+/// What is to be said of pictures that other programs turn when they read them.
+fn orientations(files: &[PairFiles]) -> Vec<String> {
+    let side = |name: &str, of: fn(&PairFiles) -> Option<&PathBuf>| {
+        let mut counts: BTreeMap<u8, usize> = BTreeMap::new();
+        for path in files.iter().filter_map(of) {
+            *counts.entry(exif_orientation(path).unwrap_or(1)).or_default() += 1;
+        }
+        if counts.keys().all(|orientation| *orientation == 1) {
+            return None;
+        }
+        let each: Vec<String> = counts.iter().map(|(o, n)| format!("{o} in {n}")).collect();
+        let differ = if counts.len() > 1 { ": was the camera turned between them?" } else { "" };
+        Some(format!(
+            "{name} pictures have an EXIF orientation ({}){differ}; taken as stored, where other programs turn them: OpenCV reads them so with IMREAD_IGNORE_ORIENTATION",
+            each.join(", ")
+        ))
+    };
+    [side("left", |f| f.left.as_ref()), side("right", |f| f.right.as_ref())].into_iter().flatten().collect()
+}
+
 /// Corners of a board in all pairs.
 pub(crate) fn board_pairs(files: &[PairFiles], board: &BoardLayout) -> BoardPairs {
     let found: Vec<Result<Read, String>> = files.par_iter().map(|f| read(f, board)).collect();
@@ -118,6 +141,7 @@ pub(crate) fn board_pairs(files: &[PairFiles], board: &BoardLayout) -> BoardPair
         let expected = "at least 3 pairs that show the board in both pictures";
         Err(VisionError::result("calibrate two cameras", expected, found))
     };
-    let remarks = remarks.into_iter().map(|(remark, n)| format!("{remark} (in {n} pictures)")).collect();
+    let counted = remarks.into_iter().map(|(remark, n)| format!("{remark} (in {n} pictures)"));
+    let remarks = counted.chain(orientations(files)).collect();
     BoardPairs { size, views, rejected, remarks, marker_share: median(&shares) }
 }

@@ -8,7 +8,7 @@
 //! Sources: OpenCV documentation, module calib3d, "Detailed Description"; Brown, "Decentering Distortion of Lenses", 1966.
 
 use super::lens::{Coefficients, Lens, MAX_COEFFICIENTS};
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Vector2, Vector3};
 
 /// The model: k1, k2, p1, p2, k3.
 #[derive(Debug)]
@@ -52,8 +52,8 @@ impl Lens for BrownConrady {
         (d, j)
     }
 
-    fn by_coefficients(&self, _: &Coefficients, n: &Vector2<f64>) -> [Vector2<f64>; MAX_COEFFICIENTS] {
-        let (x, y) = (n.x, n.y);
+    fn by_coefficients(&self, _: &Coefficients, p: &Vector3<f64>) -> [Vector2<f64>; MAX_COEFFICIENTS] {
+        let (x, y) = (p.x / p.z, p.y / p.z);
         let r2 = x * x + y * y;
         [
             Vector2::new(x * r2, y * r2),

@@ -5,12 +5,20 @@
 //! d = (theta_d / r) n
 //! d d / d n = (theta_d / r) I + s n n^T,   s = (theta_d' / (1 + r^2) - theta_d / r) / r^2
 //! ```
+//!
+//! Of a point `(x, y, z)` the angle is `atan2(rho, z)`, rho^2 = x^2 + y^2, which has no pole at 90 degrees:
+//!
+//! ```text
+//! d = theta_d u,  u = (x, y) / rho,   d d / d p = theta_d' u (d theta / d p)^T + (theta_d / rho) (I - u u^T) [I2 0]
+//! d theta / d p = (z u, -rho) / (rho^2 + z^2)
+//! ```
 //! Sources: OpenCV documentation, module calib3d, "Fisheye camera model"; Kannala and Brandt, "A Generic Camera Model and Calibration
 //! Method for Conventional, Wide-Angle, and Fish-Eye Lenses", IEEE PAMI 28(8), 2006, eq. 6.
 
 use super::lens::{Coefficients, Lens, MAX_COEFFICIENTS};
-use nalgebra::{Matrix2, Vector2};
-use std::f64::consts::FRAC_PI_2;
+use nalgebra::{Matrix2, Matrix2x3, RowVector3, Vector2, Vector3};
+use std::f64::consts::{FRAC_PI_2, PI};
+use std::ops::AddAssign;
 
 /// The model: k1, k2, k3, k4.
 #[derive(Debug)]
@@ -62,11 +70,11 @@ impl Lens for KannalaBrandt {
         (n * ratio, Matrix2::identity() * ratio + n * n.transpose() * s)
     }
 
-    fn by_coefficients(&self, _: &Coefficients, n: &Vector2<f64>) -> [Vector2<f64>; MAX_COEFFICIENTS] {
-        let r = n.norm();
-        let theta = r.atan();
-        let (t2, ratio) = (theta * theta, if r < SMALL_RADIUS { 1.0 } else { theta / r });
-        let power = |k: i32| n * (ratio * t2.powi(k));
+    fn by_coefficients(&self, _: &Coefficients, p: &Vector3<f64>) -> [Vector2<f64>; MAX_COEFFICIENTS] {
+        let rho = p.xy().norm();
+        let theta = rho.atan2(p.z);
+        let along = if rho > 0.0 { p.xy() * (theta / rho) } else { Vector2::zeros() };
+        let power = |k: i32| along * (theta * theta).powi(k);
         [power(1), power(2), power(3), power(4), Vector2::zeros()]
     }
 
@@ -80,22 +88,55 @@ impl Lens for KannalaBrandt {
             // The inverse of the series above.
             return Some(d * (1.0 - (c[0] - 1.0 / 3.0) * target * target));
         }
-        // One unknown, the angle: Newton's method, held within the half space before the camera.
-        let mut theta = target.min(FRAC_PI_2 - 1e-6);
-        for _ in 0..50 {
-            let (value, slope) = distorted_angle(c, theta);
-            if !(slope > 0.0) {
-                return None;
-            }
-            let step = (target - value) / slope;
-            let next = (theta + step).clamp(0.0, FRAC_PI_2);
-            let moved = (next - theta).abs();
-            theta = next;
-            if moved < 1e-15 {
-                break;
-            }
-        }
-        let settled = (distorted_angle(c, theta).0 - target).abs() < 1e-9;
-        (settled && theta < FRAC_PI_2 - 1e-9).then(|| d * (theta.tan() / target))
+        let theta = angle(c, target)?;
+        (theta < FRAC_PI_2 - 1e-9).then(|| d * (theta.tan() / target))
     }
+
+    fn image(&self, c: &Coefficients, p: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+        let rho = p.xy().norm();
+        if rho < SMALL_RADIUS * p.z {
+            let (n, iz) = (p.xy() / p.z, 1.0 / p.z);
+            let (d, by_n) = self.distort(c, &n);
+            return Some((d, by_n * Matrix2x3::new(iz, 0.0, -n.x * iz, 0.0, iz, -n.y * iz)));
+        }
+        // Straight behind the camera no direction is the right one.
+        if !(rho > SMALL_RADIUS * p.z.abs()) {
+            return None;
+        }
+        let (u, far) = (p.xy() / rho, p.norm_squared());
+        let (value, slope) = distorted_angle(c, rho.atan2(p.z));
+        let by_angle = RowVector3::new(p.z * u.x, p.z * u.y, -rho) / far;
+        let across = (Matrix2::identity() - u * u.transpose()) * (value / rho);
+        let mut by_point = u * by_angle * slope;
+        by_point.fixed_view_mut::<2, 2>(0, 0).add_assign(&across);
+        Some((u * value, by_point))
+    }
+
+    fn ray(&self, c: &Coefficients, d: &Vector2<f64>) -> Option<Vector3<f64>> {
+        let target = d.norm();
+        if target < SMALL_RADIUS {
+            return Some(self.undistort(c, d)?.push(1.0));
+        }
+        let (sin, cos) = angle(c, target)?.sin_cos();
+        Some((d * (sin / target)).push(cos))
+    }
+}
+
+/// Angle from the axis at a distorted radius, by Newton's method; none where the model folds over before it.
+fn angle(c: &Coefficients, target: f64) -> Option<f64> {
+    let mut theta = target.min(FRAC_PI_2);
+    for _ in 0..50 {
+        let (value, slope) = distorted_angle(c, theta);
+        if !(slope > 0.0) {
+            return None;
+        }
+        let next = (theta + (target - value) / slope).clamp(0.0, PI);
+        let moved = (next - theta).abs();
+        theta = next;
+        if moved < 1e-15 {
+            break;
+        }
+    }
+    let settled = (distorted_angle(c, theta).0 - target).abs() < 1e-9;
+    (settled && theta < PI).then_some(theta)
 }

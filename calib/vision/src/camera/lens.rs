@@ -1,9 +1,10 @@
 //! What a lens does to the pinhole's picture: the trait of its models.
 //!
 //! A lens takes the direction `n = (X/Z, Y/Z)` of a point before the camera to distorted normalised coordinates `d(n; c)`; the pixel is
-//! `(fx d_x + cx, fy d_y + cy)`. Directions at 90 degrees from the axis and beyond have no such `n` and are not seen.
+//! `(fx d_x + cx, fy d_y + cy)`. Directions at 90 degrees from the axis and beyond have no such `n`: a model that sees them takes points and gives
+//! rays.
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
 use std::fmt::Debug;
 
 /// Most coefficients that a model has.
@@ -24,12 +25,30 @@ pub trait Lens: Debug + Sync {
     fn coefficient_names(&self) -> &'static [&'static str];
     /// Distorted coordinates of a direction with their derivative by it.
     fn distort(&self, c: &Coefficients, n: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>);
-    /// Derivative of the distorted coordinates by each coefficient.
-    fn by_coefficients(&self, c: &Coefficients, n: &Vector2<f64>) -> [Vector2<f64>; MAX_COEFFICIENTS];
+    /// Derivative of a point's distorted coordinates by each coefficient.
+    fn by_coefficients(&self, c: &Coefficients, p: &Vector3<f64>) -> [Vector2<f64>; MAX_COEFFICIENTS];
     /// Derivative of the distorted radius by the undistorted one at radius `r` (decentring left out): at 0 the picture folds over.
     fn radial_slope(&self, c: &Coefficients, r: f64) -> f64;
     /// Direction of distorted coordinates; none where the model folds over or the direction is not before the camera.
     fn undistort(&self, c: &Coefficients, d: &Vector2<f64>) -> Option<Vector2<f64>>;
+
+    /// Distorted coordinates of a point with their derivative by it; none where the model does not see it.
+    fn image(&self, c: &Coefficients, p: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+        let n = before(p)?;
+        let (d, by_n) = self.distort(c, &n);
+        let iz = 1.0 / p.z;
+        Some((d, by_n * Matrix2x3::new(iz, 0.0, -n.x * iz, 0.0, iz, -n.y * iz)))
+    }
+
+    /// A point on the ray of distorted coordinates; none where the model folds over or sees nothing.
+    fn ray(&self, c: &Coefficients, d: &Vector2<f64>) -> Option<Vector3<f64>> {
+        Some(self.undistort(c, d)?.push(1.0))
+    }
+}
+
+/// The direction of a point before the camera.
+pub(super) fn before(p: &Vector3<f64>) -> Option<Vector2<f64>> {
+    (p.z > 0.0).then(|| Vector2::new(p.x / p.z, p.y / p.z))
 }
 
 impl PartialEq for dyn Lens {

@@ -84,30 +84,19 @@ impl Camera {
         )
     }
 
-    /// Pixel of a point in camera coordinates; none behind the camera.
+    /// Pixel of a point in camera coordinates; none where the lens does not see it.
     pub fn project(&self, p: &Vector3<f64>) -> Option<Vector2<f64>> {
-        if p.z <= 0.0 {
-            return None;
-        }
-        let (d, _) = self.distort(&Vector2::new(p.x / p.z, p.y / p.z));
-        Some(self.pixel(&d))
+        Some(self.pixel(&self.lens.image(&self.distortion, p)?.0))
     }
 
-    /// Pixel with its derivatives by the point and by the intrinsic parameters (columns beyond [`Camera::intrinsics`] are 0); none behind
-    /// the camera.
+    /// Pixel with its derivatives by the point and by the intrinsic parameters (columns beyond [`Camera::intrinsics`] are 0); none where the
+    /// lens does not see it.
     pub fn project_with_jacobian(
         &self,
         p: &Vector3<f64>,
     ) -> Option<(Vector2<f64>, Matrix2x3<f64>, SMatrix<f64, 2, MAX_INTRINSICS>)> {
-        if p.z <= 0.0 {
-            return None;
-        }
         let [fx, fy] = self.focal_px;
-        let (iz, x, y) = (1.0 / p.z, p.x / p.z, p.y / p.z);
-        let n = Vector2::new(x, y);
-        let (d, jd) = self.distort(&n);
-        let dn = Matrix2x3::new(iz, 0.0, -x * iz, 0.0, iz, -y * iz);
-        let mut by_point = jd * dn;
+        let (d, mut by_point) = self.lens.image(&self.distortion, p)?;
         by_point.row_mut(0).scale_mut(fx);
         by_point.row_mut(1).scale_mut(fy);
         let mut by_camera = SMatrix::<f64, 2, MAX_INTRINSICS>::zeros();
@@ -115,11 +104,16 @@ impl Camera {
         by_camera[(1, 1)] = d.y;
         by_camera[(0, 2)] = 1.0;
         by_camera[(1, 3)] = 1.0;
-        for (k, by) in self.lens.by_coefficients(&self.distortion, &n).iter().enumerate() {
+        for (k, by) in self.lens.by_coefficients(&self.distortion, p).iter().enumerate() {
             by_camera[(0, 4 + k)] = fx * by.x;
             by_camera[(1, 4 + k)] = fy * by.y;
         }
         Some((self.pixel(&d), by_point, by_camera))
+    }
+
+    /// A point on the ray of a pixel; none where the distortion folds over or the lens sees nothing.
+    pub fn ray(&self, px: &Vector2<f64>) -> Option<Vector3<f64>> {
+        self.lens.ray(&self.distortion, &self.normalised(px))
     }
 
     /// Undistorted normalised coordinates of a pixel; none where the distortion folds over.

@@ -26,12 +26,24 @@ pub struct RawTag {
 type Create = unsafe extern "C" fn() -> *mut sys::apriltag_family_t;
 type Destroy = unsafe extern "C" fn(*mut sys::apriltag_family_t);
 
-/// Names of the families that can be detected.
-pub const FAMILIES: [&str; 6] =
-    ["tag36h11", "tag25h9", "tag16h5", "tagStandard41h12", "tagStandard52h13", "tagCircle21h7"];
+/// Names of the families that can be detected. Kalibr prints those with a black border with one of two cells.
+pub const FAMILIES: [&str; 9] = [
+    "tag36h11",
+    "tag25h9",
+    "tag16h5",
+    "tagStandard41h12",
+    "tagStandard52h13",
+    "tagCircle21h7",
+    "tag36h11-border2",
+    "tag25h9-border2",
+    "tag16h5-border2",
+];
+
+/// Ends the name of a family whose black border is two cells wide.
+pub(crate) const WIDE_BORDER: &str = "-border2";
 
 fn family(name: &str) -> Option<(Create, Destroy)> {
-    Some(match name {
+    Some(match name.strip_suffix(WIDE_BORDER).unwrap_or(name) {
         "tag36h11" => (sys::tag36h11_create, sys::tag36h11_destroy),
         "tag25h9" => (sys::tag25h9_create, sys::tag25h9_destroy),
         "tag16h5" => (sys::tag16h5_create, sys::tag16h5_destroy),
@@ -40,6 +52,27 @@ fn family(name: &str) -> Option<(Create, Destroy)> {
         "tagCircle21h7" => (sys::tagCircle21h7_create, sys::tagCircle21h7_destroy),
         _ => return None,
     })
+}
+
+/// Creates a family, with the border that its name says; null where the library has no memory.
+///
+/// # Safety
+/// `create` is the library's function of a family.
+unsafe fn created(name: &str, create: Create) -> *mut sys::apriltag_family_t {
+    // SAFETY: the family is not null where it is changed, and the places of its bits are arrays of `nbits`.
+    unsafe {
+        let family = create();
+        if !family.is_null() && name.ends_with(WIDE_BORDER) {
+            // The bits lie one cell further in, counted from the border's outer corner.
+            (*family).width_at_border += 2;
+            (*family).total_width += 2;
+            for bit in 0..(*family).nbits as usize {
+                *(*family).bit_x.add(bit) += 1;
+                *(*family).bit_y.add(bit) += 1;
+            }
+        }
+        family
+    }
 }
 
 /// AprilTag's origin is the corner of the first pixel; here it is the pixel's centre.
@@ -68,10 +101,10 @@ thread_local! {
 }
 
 impl Handles {
-    fn new(create: Create, destroy_family: Destroy) -> Option<Self> {
+    fn new(name: &str, create: Create, destroy_family: Destroy) -> Option<Self> {
         // SAFETY: both are checked before use; `add_family_bits` takes a detector and a family that outlive it in `Handles`.
         unsafe {
-            let (family, detector) = (create(), sys::apriltag_detector_create());
+            let (family, detector) = (created(name, create), sys::apriltag_detector_create());
             if family.is_null() || detector.is_null() {
                 return None;
             }
@@ -147,7 +180,7 @@ pub fn detect(
         let handles = match all.entry(name) {
             Entry::Occupied(kept) => kept.into_mut(),
             Entry::Vacant(place) => {
-                place.insert(Handles::new(create, destroy_family).ok_or_else(|| {
+                place.insert(Handles::new(name, create, destroy_family).ok_or_else(|| {
                     VisionError::result("detect tags", "a detector", "none (out of memory?)")
                 })?)
             }
@@ -221,7 +254,7 @@ pub fn draw_tag(family_name: &str, id: u32) -> Result<Picture, VisionError> {
     // SAFETY: the family is created and destroyed here once; the image is read within its own width, height and stride
     // before it is destroyed; `id` is checked against the number of codes, which the library does not do.
     unsafe {
-        let family = create();
+        let family = created(family_name, create);
         if family.is_null() {
             return Err(unknown());
         }

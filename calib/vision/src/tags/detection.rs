@@ -1,12 +1,15 @@
 //! Tags: detection by AprilTag, corners by fits to the pixels about their edges.
 
 use crate::camera::{Camera, distorted_px, undistorted_px};
-use crate::error::VisionError;
+use crate::error::{OpenCvContext, VisionError};
 use crate::picture::Picture;
-use crate::tags::apriltag_ffi::{MIN_CONTRAST, RawTag, Region, detect};
+use crate::tags::apriltag_ffi::{MIN_CONTRAST, RawTag, Region, WIDE_BORDER, detect};
 use crate::tags::edges::{Edges, refine_by_edges};
 use crate::tags::regions::tag_regions;
 use nalgebra::{Matrix2, Vector2};
+use opencv::core::{BORDER_REPLICATE, CV_8UC1, Mat, Point, Size};
+use opencv::imgproc;
+use opencv::prelude::*;
 
 /// A tag in one picture.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,6 +37,9 @@ impl Tag {
 
 /// Cells (bits) along the side between the detected corners; the outermost ring is of one colour, its outside neighbour of the other.
 fn cells_along_side(family: &str) -> usize {
+    if let Some(plain) = family.strip_suffix(WIDE_BORDER) {
+        return cells_along_side(plain) + 2;
+    }
     match family {
         "tag25h9" => 7,
         "tag16h5" => 6,
@@ -53,6 +59,9 @@ pub enum Search {
     Halved,
     /// All of the picture.
     Whole,
+    /// All of the picture at twice its size and with dark places half a pixel smaller: tags whose corners dark squares touch, as on Kalibr's grids,
+    /// come apart from them.
+    Apart,
 }
 
 /// Detects the tags of a family, with the corners of AprilTag's quads.
@@ -66,6 +75,15 @@ pub fn detect_tags(picture: &Picture, family: &str, search: Search) -> Result<Ve
         Search::StrongContrast if DARK_BORDERS.contains(&family) => {
             let (regions, contrast) = tag_regions(picture);
             detect(picture, family, &regions, contrast).map(once_each)
+        }
+        Search::Apart => {
+            let larger = apart(picture)?;
+            let found = detect(&larger, family, &[Region::whole(&larger)], MIN_CONTRAST)?;
+            let back = |tag: RawTag| RawTag {
+                corners_px: tag.corners_px.map(|corner| corner.map(|x| 0.5 * (x + 0.5) - 0.5)),
+                ..tag
+            };
+            Ok(found.into_iter().map(back).collect())
         }
         // The other families' borders are bright.
         Search::StrongContrast | Search::Whole => detect(picture, family, &[whole], MIN_CONTRAST),
@@ -86,6 +104,20 @@ pub fn find_tags(
     let mut tags: Vec<Tag> = found.into_iter().map(|raw| refine(picture, raw, camera)).collect();
     tags.sort_by_key(|t| t.id);
     Ok(tags)
+}
+
+/// The picture at twice its size, each pixel as bright as the brightest beside it.
+fn apart(picture: &Picture) -> Result<Picture, VisionError> {
+    let doing = "search for tags";
+    let (width, height) = (2 * picture.width, 2 * picture.height);
+    let (mut larger, mut opened) = (Mat::default(), Mat::default());
+    let size = Size::new(width as i32, height as i32);
+    imgproc::resize(&picture.to_mat()?, &mut larger, size, 0.0, 0.0, imgproc::INTER_LINEAR).doing(doing)?;
+    let square = Mat::ones(3, 3, CV_8UC1).doing(doing)?.to_mat().doing(doing)?;
+    let border = imgproc::morphology_default_border_value().doing(doing)?;
+    let anchor = Point::new(-1, -1);
+    imgproc::dilate(&larger, &mut opened, &square, anchor, 1, BORDER_REPLICATE, border).doing(doing)?;
+    Picture::new(width, height, opened.data_bytes().doing(doing)?.to_vec())
 }
 
 /// Families with a black border about their cells.

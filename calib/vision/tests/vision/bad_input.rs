@@ -86,7 +86,7 @@ fn every_kind_of_unusable_view_is_named_and_the_rest_is_calibrated() {
     let document = run(path).unwrap();
     for (name, word) in [
         ("left01", "different sizes"),
-        ("left02", "16-bit"),
+        ("left02", "no contrast"),
         ("left03", "different sizes"),
         ("left04", "saturated"),
         ("left05", "no contrast"),

@@ -173,7 +173,7 @@ fn bad_pairs_are_rejected_with_their_reasons_and_the_batch_goes_on() {
         ("colour", "as calibrated"),
         ("small", "1280x960"),
         ("twice", "the same"),
-        ("sixteen", "16-bit"),
+        ("sixteen", "no contrast"),
         ("torn", "cut off"),
         ("empty", "zero bytes"),
         ("alone", "right picture is missing"),

@@ -38,19 +38,25 @@ fn charuco() -> Print {
     })
 }
 
-/// 5 x 4 upright tags of 9 mm with gaps of 3 mm; number 0 at the lower left as in Kalibr's grids.
-fn april_grid() -> Print {
-    let tags: Vec<_> = (0..20).map(|k| draw_tag("tag36h11", k).unwrap()).collect();
+/// 5 x 4 upright tags of 9 mm with gaps of 3 mm; the first number at the lower left as in Kalibr's grids, whose border may be of two cells and whose
+/// gaps cross in black squares then.
+fn april_grid(first: u32, wide_border: bool) -> Print {
+    let (family, cells) = if wide_border { ("tag36h11-border2", 10.0) } else { ("tag36h11", 8.0) };
+    let tags: Vec<_> = (first..first + 20).map(|k| draw_tag(family, k).unwrap()).collect();
     Box::new(move |p| {
         let (x, y) = (p.x + 2.0 * 12.0, -p.y + 1.5 * 12.0);
+        let crossing = |d: f64| ((d / 12.0 - 0.5) - (d / 12.0 - 0.5).round()).abs() < 1.5 / 12.0;
+        if wide_border && crossing(x) && crossing(y) {
+            return 0.0;
+        }
         let (column, row) = ((x / 12.0).round(), (y / 12.0).round());
         if !(0.0..5.0).contains(&column) || !(0.0..4.0).contains(&row) {
             return 255.0;
         }
-        // Ten cells with the white margin, eight between the corners.
-        let cell = |d: f64| (d / 9.0 * 8.0 + 5.0).floor();
+        // With the white margin there are two cells more than between the corners.
+        let cell = |d: f64| (d / 9.0 * cells + 0.5 * cells + 1.0).floor();
         let (u, v) = (cell(x - column * 12.0), cell(row * 12.0 - y));
-        let inside = (0.0..10.0).contains(&u) && (0.0..10.0).contains(&v);
+        let inside = (0.0..cells + 2.0).contains(&u) && (0.0..cells + 2.0).contains(&v);
         let tag = &tags[row as usize * 5 + column as usize];
         if inside { f64::from(tag.data[v as usize * tag.width + u as usize]) } else { 255.0 }
     })
@@ -203,7 +209,7 @@ fn charuco_boards_of_another_layout_are_named() {
 #[test]
 fn an_april_grid_that_is_partly_hidden_calibrates_both_cameras() {
     let folder = tempfile::tempdir().unwrap();
-    write_pairs(folder.path(), &april_grid());
+    write_pairs(folder.path(), &april_grid(0, false));
     let board = |gap_mm: f64| Board {
         size: BoardSize { columns: 5, rows: 4 },
         square_mm: 9.0,
@@ -213,4 +219,29 @@ fn an_april_grid_that_is_partly_hidden_calibrates_both_cameras() {
     // Negative control: a gap stated wrongly fits no cameras, or not well.
     let wrong = calibrated(folder.path(), &board(4.0));
     assert!(wrong.is_err() || wrong.unwrap().rms_px > 0.5);
+}
+
+/// As `kalibr_create_target_pdf` prints it, numbered from 40: nobody has to say either.
+#[test]
+fn a_grid_of_kalibr_with_other_numbers_calibrates_both_cameras() {
+    let folder = tempfile::tempdir().unwrap();
+    write_pairs(folder.path(), &april_grid(40, true));
+    let board = |columns, first| Board {
+        size: BoardSize { columns, rows: 4 },
+        square_mm: 9.0,
+        pattern: Pattern::AprilGrid {
+            gap_mm: 3.0,
+            family: "tag36h11".into(),
+            order: TagOrder { first, ..TagOrder::default() },
+        },
+    };
+    let stated = calibrated(folder.path(), &board(5, 40)).unwrap();
+    assert_as_drawn(&stated);
+    assert!(!stated.warnings.iter().any(|w| w.contains("first-tag")), "{:?}", stated.warnings);
+    let found = calibrated(folder.path(), &board(5, 0)).unwrap();
+    assert_as_drawn(&found);
+    assert!(found.warnings.iter().any(|w| w.contains("taken as --first-tag 40")), "{:?}", found.warnings);
+    // Negative control: numbers that fit no board of the stated size are named.
+    let why = calibrated(folder.path(), &board(4, 0)).unwrap_err();
+    assert!(why.contains("tags 40 to 59 are seen") && why.contains("--first-tag"), "{why}");
 }

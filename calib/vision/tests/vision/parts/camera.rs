@@ -79,6 +79,21 @@ fn undistortion_inverts_projection() {
     assert_eq!(fisheye.undistort(&Vector2::new(335.0 + 535.0 * 1.9, 240.0)), None);
 }
 
+#[test]
+fn a_fisheye_sees_behind_its_plane() {
+    let fisheye = camera_with(FISHEYE);
+    // 84 to 116 degrees from the axis, and along it.
+    for p in [(2.0, 0.3, 0.2), (2.0, -0.3, 0.0), (-1.0, 0.6, -0.1), (0.3, 0.8, -0.4), (0.0, 0.0, 1.0)] {
+        let p = Vector3::new(p.0, p.1, p.2);
+        assert!(worst_difference(&fisheye, p) < 1e-5, "{p}");
+        let ray = fisheye.ray(&fisheye.project(&p).unwrap()).unwrap();
+        assert!((ray.normalize() - p.normalize()).norm() < 1e-9, "{ray} for {p}");
+    }
+    assert_eq!(fisheye.project(&Vector3::new(0.0, 0.0, -1.0)), None);
+    // Negative control: a pinhole sees nothing there.
+    assert_eq!(camera_with(OPENCV5).project(&Vector3::new(2.0, 0.3, -0.1)), None);
+}
+
 /// The fisheye as the equation in OpenCV's documentation gives it, worked out by hand for theta = 45 degrees along x.
 #[test]
 fn the_fisheye_is_opencvs() {

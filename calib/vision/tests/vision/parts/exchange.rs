@@ -1,11 +1,12 @@
 //! Exports come back; malformed files are refused.
 
+use nalgebra::Vector2;
 use wcal_vision::calibrate::document::StereoDocument;
-use wcal_vision::calibrate::export::exports;
+use wcal_vision::calibrate::export::{exports, kalibr_distance_px};
 use wcal_vision::calibrate::import::{
     ImportedCamera, import_kalibr, import_opencv, import_ros, imported, read_cameras,
 };
-use wcal_vision::camera::{FISHEYE, Lens, OPENCV5, lenses};
+use wcal_vision::camera::{Camera, FISHEYE, Lens, OPENCV5, lenses};
 
 fn document_with(lens: &'static dyn Lens) -> StereoDocument {
     let pose =
@@ -37,13 +38,39 @@ fn same(a: &StereoDocument, b: &StereoDocument) -> bool {
         })
 }
 
+/// Kalibr's cameras are the document's, but for k3: four coefficients fitted to the five show each direction within a tenth of a pixel.
+fn assert_as_kalibr_has_it(found: &StereoDocument, document: &StereoDocument) {
+    let [cameras, kalibr] = [document, found].map(|d| d.stereo_cameras().unwrap().cameras);
+    let mut farthest = 0.0f64;
+    for (camera, kalibr) in cameras.iter().zip(&kalibr) {
+        for k in 0..81 {
+            let px = Vector2::new(f64::from(k % 9) * 160.0 - 0.5, f64::from(k / 9) * 120.0 - 0.5);
+            farthest = farthest.max((kalibr.project(&camera.ray(&px).unwrap()).unwrap() - px).norm());
+        }
+        assert!(kalibr.distortion[4] == 0.0);
+    }
+    let stated = kalibr_distance_px(document).unwrap();
+    assert!(farthest <= stated + 1e-9 && stated < 0.1, "{farthest} px, stated {stated} px");
+    // Negative control: the first four of five are another lens.
+    let cut = |camera: &Camera| Camera {
+        distortion: {
+            let [a, b, c, d, _] = camera.distortion;
+            [a, b, c, d, 0.0]
+        },
+        ..camera.clone()
+    };
+    let corner = cameras[0].ray(&Vector2::new(0.0, 0.0)).unwrap();
+    let apart = (cut(&cameras[0]).project(&corner).unwrap() - Vector2::new(0.0, 0.0)).norm();
+    assert!(cameras[0].lens == FISHEYE || apart > 2.0 * stated, "{apart}");
+}
+
 #[test]
 fn what_is_exported_is_imported_again() {
     for lens in lenses() {
         let document = document_with(lens);
         let files = exports(&document).unwrap();
         assert!(same(&import_opencv("opencv.yml", &files[0].1).unwrap(), &document), "{}", lens.model());
-        assert!(same(&import_kalibr("camchain.yaml", &files[1].1).unwrap(), &document), "{}", lens.model());
+        assert_as_kalibr_has_it(&import_kalibr("camchain.yaml", &files[1].1).unwrap(), &document);
         assert!(same(&import_ros("ros", [&files[2].1, &files[3].1]).unwrap(), &document), "{}", lens.model());
     }
     // Negative control: the models are not taken for each other.
@@ -66,7 +93,8 @@ fn the_kind_of_a_file_is_seen_in_it() {
     };
     let json = write("stereo.json", &serde_json::to_string(&document()).unwrap());
     let [opencv, kalibr, left, right] = [0, 1, 2, 3].map(|k: usize| write(&files[k].0, &files[k].1));
-    for paths in [vec![json], vec![opencv.clone()], vec![kalibr], vec![left.clone(), right.clone()]] {
+    assert_as_kalibr_has_it(&read_cameras(&[kalibr]).unwrap(), &document());
+    for paths in [vec![json], vec![opencv.clone()], vec![left.clone(), right.clone()]] {
         assert!(same(&read_cameras(&paths).unwrap(), &document()), "{paths:?}");
     }
     let text = write("notes.txt", "cameras of Tuesday");

@@ -5,6 +5,7 @@ mod chain;
 mod exchange;
 mod groove;
 mod pairs;
+mod picture;
 mod profile;
 mod rig;
 mod rigid;

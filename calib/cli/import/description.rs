@@ -59,10 +59,7 @@ pub(super) fn write(
     }
     // A table out of a simulated session stays simulated.
     let simulated = whisker.into_iter().chain([&args.file]).any(|path| is_simulated(path));
-    let mut provenance = provenance(sources, simulated);
-    let read: Vec<String> = noticed.remarks.iter().chain(&noticed.warnings).cloned().collect();
-    provenance.extend((!read.is_empty()).then(|| ("read".to_owned(), Value::from(read))));
-    top.insert("provenance".to_owned(), Value::Table(provenance));
+    top.insert("provenance".to_owned(), Value::Table(provenance(sources, simulated, noticed)));
     Ok((toml::to_string(&top)?, more))
 }
 
@@ -98,7 +95,7 @@ fn transducer(args: &ImportArgs, [stimulus_unit, response_unit]: &[String; 2]) -
         .collect()
 }
 
-pub(super) fn provenance(sources: &[&TextTable], simulated: bool) -> Table {
+pub(super) fn provenance(sources: &[&TextTable], simulated: bool, noticed: &Noticed) -> Table {
     let short = |path: &str| {
         Path::new(path).file_name().map_or(path.to_owned(), |n| n.to_string_lossy().into_owned())
     };
@@ -110,6 +107,8 @@ pub(super) fn provenance(sources: &[&TextTable], simulated: bool) -> Table {
     table.insert("program".to_owned(), Value::from(format!("wcal {}", env!("CARGO_PKG_VERSION"))));
     table.insert("command".to_owned(), std::env::args().skip(1).collect::<Vec<_>>().into());
     table.insert("inputs".to_owned(), Value::Array(inputs.collect()));
+    let read: Vec<String> = noticed.remarks.iter().chain(&noticed.warnings).cloned().collect();
+    table.extend((!read.is_empty()).then(|| ("read".to_owned(), Value::from(read))));
     table.extend(simulated.then(|| ("simulated".to_owned(), Value::Boolean(true))));
     table
 }

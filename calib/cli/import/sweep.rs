@@ -52,7 +52,12 @@ fn of_tables(args: &ImportArgs) -> anyhow::Result<Sweep> {
         let t_s = table
             .number(k, time)?
             .with_context(|| format!("{}: line {line}: t_s: expected a time, found none", table.file))?;
-        let values: Vec<&str> = columns.iter().map(|c| &cells[*c]).collect();
+        // What reads as a number stays as it is written.
+        let value = |column: &usize| match cells[*column].parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(cells[*column].to_owned()),
+            _ => table.number(k, *column).map(|number| number.map_or_else(String::new, |n| n.to_string())),
+        };
+        let values = columns.iter().map(value).collect::<Result<Vec<_>, _>>()?;
         write!(points, "{k},{t_s},{},", values.join(","))?;
         match logged.log.at(t_s, &nalgebra::Vector3::zeros()) {
             Ok(motion) => {
@@ -99,7 +104,9 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
         top.insert("object".to_owned(), Value::Table(place));
     }
     let (sources, simulated) = ([&sweep.source], is_simulated(&args.file));
-    top.insert("provenance".to_owned(), Value::Table(description::provenance(&sources, simulated)));
+    let noticed = Noticed::of(&sources, std::iter::empty());
+    let provenance = description::provenance(&sources, simulated, &noticed);
+    top.insert("provenance".to_owned(), Value::Table(provenance));
 
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
     refuse_other_tables(&out, &sources, sweep.points.as_bytes())?;
@@ -112,7 +119,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     for (mesh, note) in object.iter().flat_map(|(mesh, read)| read.notes.iter().map(move |n| (mesh, n))) {
         eprintln!("{}: {note}", mesh.display());
     }
-    let Noticed { remarks, mut warnings } = Noticed::of(&sources, std::iter::empty());
+    let Noticed { remarks, mut warnings } = noticed;
     let rows = sweep.source.rows.len();
     let unknown = (sweep.without_pose > 0).then(|| {
         let missing = sweep.without_pose;

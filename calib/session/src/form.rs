@@ -147,7 +147,6 @@ impl Form {
                 continue;
             }
             self.refuse_other_order(place, (line, &cells))?;
-            parts.extend(parts.is_empty().then(Vec::new));
             if let Some(part) = parts.last_mut() {
                 part.push((line, cells));
             }

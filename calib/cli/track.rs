@@ -1,5 +1,6 @@
 //! `wcal track`: from wavelengths to contact points: of a table, of a recording, or live.
 
+mod arguments;
 mod feed;
 mod live;
 mod object;
@@ -7,96 +8,23 @@ mod output;
 mod recorded_motion;
 mod table;
 
-pub use wcal_contact::trust::filters_for;
-
 use anyhow::{Context, Result, anyhow, bail};
-use clap::Args;
+use arguments::RATE_HZ;
+pub use arguments::TrackArgs;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use wcal_acquisition::rig::Rig;
 use wcal_calibration::CalibrationModel;
 use wcal_contact::groove_comparison::contact_sentence;
-use wcal_contact::reading::MotionAccuracy;
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::median_step_s;
-use wcal_contact::track_document::{TrackDocument, WhiskerDocument};
-use wcal_contact::track_table::TrackFiles;
 use wcal_contact::trust::WhiskerModel;
-use wcal_contact::whisker_track::Outcome;
+pub use wcal_contact::trust::filters_for;
 use wcal_core::CalibrationFile;
 use wcal_core::Purpose;
 use wcal_track::Tracker;
 use wcal_track::model_file::{load, read_card};
-
-/// Arguments of `wcal track`.
-#[derive(Debug, Args)]
-#[command(after_help = "Examples:
-  wcal track session --calibration calibration.json --out track.csv
-  wcal track readings.csv --motion arm.csv --calibration calibration.json --out track.csv
-
-Where the motion is known, physics locates the contact; with --model a network does. Columns and
-status words: docs/src/formats.md; methods: docs/src/guide/tracking.md.
-
-Exit code 3: readings lost or flagged, or a motion that the network may not know. 4: outside the valid region, regions that miss the known
-groove, or a calibration or model that cannot be trusted: then nothing is written without --force.")]
-pub struct TrackArgs {
-    /// Table of readings, recording (.mcap) or session folder; without it the rig's interrogator
-    pub source: Option<PathBuf>,
-    /// calibration.json of verify; ID=FILE for one of several whiskers
-    #[arg(long, value_name = "[ID=]FILE", required = true)]
-    pub calibration: Vec<String>,
-    /// Folder of `wcal-lab train`; ID=DIR for one of several whiskers. Not needed where the motion is known
-    #[arg(long, value_name = "[ID=]DIR")]
-    pub model: Vec<String>,
-    /// Log of the relative motion of base and object (CSV: t_s and object_x_mm .. object_z_mm, or base_x_mm .. base_z_mm with base_qw ..
-    /// base_qz; _m for metres). Default: such columns of the table
-    #[arg(long, value_name = "CSV", conflicts_with = "model")]
-    pub motion: Option<PathBuf>,
-    /// Rig: rig.toml or the folder that holds it; a session folder has its own
-    #[arg(long, value_name = "RIG")]
-    pub rig: Option<PathBuf>,
-    /// Addresses as `wcal virtual-bench` prints them; they replace those of the rig
-    #[arg(long, value_name = "ADDRESSES.json", requires = "rig")]
-    pub bench: Option<PathBuf>,
-    /// Speed of the base along +z, where it is constant and known, mm/s
-    #[arg(long, value_name = "MM/S")]
-    pub base_mm_s: Option<f64>,
-    /// State that the base moves along its +z past an object at rest, at a speed within the training range: rows in contact are not
-    /// motion-assumed and have the network's regions
-    #[arg(long, requires = "model")]
-    pub sweep: bool,
-    /// Duration at the start, free of contact, whose mean moments are the zero, s; 0 keeps the calibration's zero. Default: a table
-    /// uses the free readings at its start where they can be identified, a stream the calibration's zero
-    #[arg(long, value_name = "S")]
-    pub tare_s: Option<f64>,
-    /// Relative standard deviation of the diameter, where the tracked wire is another of the calibration's kind (0.01 for 1 %): its stiffness
-    /// is then an unknown
-    #[arg(long, value_name = "SHARE", conflicts_with = "model")]
-    pub diameter_sd: Option<f64>,
-    /// Table to write
-    #[arg(long, value_name = "CSV")]
-    pub out: PathBuf,
-    /// Recording of a live run's raw streams, which can be tracked again
-    #[arg(long, value_name = "MCAP")]
-    pub mcap: Option<PathBuf>,
-    /// Stop a stream after this time by the interrogator's clock, s
-    #[arg(long, value_name = "S")]
-    pub seconds: Option<f64>,
-    /// Track with a calibration or model that cannot be trusted (every row says so), or overwrite an unrelated --out
-    #[arg(long)]
-    pub force: bool,
-    /// Print the summary (track.json) on stdout
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// Rows per second of a stream: near 10 networks are trained. Lag of its filter, s; its start, free of contact, that the noise is estimated from, s.
-const RATE_HZ: f64 = 10.0;
-const LAG_S: f64 = 0.1;
-const PREFIX_S: f64 = 3.0;
-/// Standard deviations of a logged motion: each coordinate, mm, and the offset of its clock, s.
-const ACCURACY: MotionAccuracy = MotionAccuracy { moved_sd_mm: 0.02, clock_sd_s: 0.01 };
 
 /// Where readings come from.
 enum Source {
@@ -178,38 +106,6 @@ pub fn run(args: &TrackArgs) -> Result<ExitCode> {
         (_, Some((place, rig)), _) => live::track(args, &place, &rig, &checked),
         (_, None, _) => bail!("expected --rig RIG for a stream, found none"),
     }
-}
-
-/// The end of every track: summary, sentences, and the exit code, with why it is not 0 and what to do in the last line.
-fn conclude(
-    args: &TrackArgs,
-    files: TrackFiles,
-    document: &TrackDocument,
-    (said, outcome): (Vec<String>, Outcome),
-) -> Result<ExitCode> {
-    let text = files.finish(document)?;
-    if args.json {
-        println!("{text}");
-    }
-    if document.simulated {
-        eprintln!("track: SIMULATED: the readings or the calibration are not measured");
-    }
-    let sum = |of: fn(&WhiskerDocument) -> u64| document.whiskers().map(of).sum::<u64>();
-    let [rows, outside, flagged] =
-        [sum(|w| w.rows), sum(|w| w.outside_valid_region), sum(|w| w.flagged_rows)];
-    if outside > 0 {
-        eprintln!(
-            "{outside} of {rows} readings lie outside the valid region; marked in outside_valid_region"
-        );
-    }
-    if flagged > 0 {
-        eprintln!("{flagged} of {rows} rows are flagged in status");
-    }
-    said.iter().for_each(|line| eprintln!("{line}"));
-    if let Some(why) = outcome.sentence(args.force) {
-        eprintln!("track: {why}");
-    }
-    Ok(ExitCode::from(outcome.exit_code(args.force)))
 }
 
 /// Prints why calibrations or models cannot be trusted, and the contact's uncertainty; returns whether rows may be written.

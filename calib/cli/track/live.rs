@@ -1,8 +1,9 @@
 //! Tracks of a stream: live from the interrogator, or replayed from recordings.
 
+use super::arguments::{ACCURACY, LAG_S, PREFIX_S, RATE_HZ, TrackArgs};
 use super::feed::{FeedInput, FeedItem};
+use super::output;
 use super::recorded_motion::{recorded_motion, session_folder};
-use super::{ACCURACY, LAG_S, PREFIX_S, RATE_HZ, TrackArgs, output};
 use crate::interrupt;
 use crate::progress::Progress;
 use crate::simulated::is_simulated;
@@ -355,7 +356,12 @@ fn conclude(
         stream: Some(document),
     };
     let lost = loss.is_some() || is_cut_off || !stream.clock_faults().is_empty();
-    super::conclude(args, files, &document, (said, outcome.and(Outcome { lost, ..Outcome::default() })))
+    super::arguments::conclude(
+        args,
+        files,
+        &document,
+        (said, outcome.and(Outcome { lost, ..Outcome::default() })),
+    )
 }
 
 /// What the arguments say of a stream.

@@ -1,6 +1,6 @@
 //! The motion that goes with a recording: a log of `--motion`, checked against the recording's clock before anything is tracked.
 
-use super::TrackArgs;
+use super::arguments::TrackArgs;
 use anyhow::{Context, Result};
 use std::path::{Path, PathBuf};
 use wcal_acquisition::replay::{self, Message};

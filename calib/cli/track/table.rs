@@ -1,7 +1,8 @@
 //! Tracks of a table or of a session, whatever locates the contacts.
 
+use super::arguments::{ACCURACY, TrackArgs};
 use super::object::{off_object, passed_object, said_of_object};
-use super::{ACCURACY, TrackArgs, output};
+use super::output;
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
@@ -234,8 +235,8 @@ pub fn track(
     let on_axis = of.estimator.findings().document.place == Some(AXIS_OF_WIRE);
     let radius_mm = if on_axis { 0.5 * loaded.whisker().map_or(0.0, |w| w.diameter_mm) } else { 0.0 };
     let mut track = WhiskerTrack::new(facts, (of.frame, of.estimator), of.tare_s, of.followed);
-    track.know_groove(of.groove);
-    track.know_object(passed_object(place, radius_mm)?);
+    track.groove = of.groove;
+    track.object = passed_object(place, radius_mm)?;
     crate::predict::record_if_sealed(place, &args.out)?;
     let mut files = output::create(&args.out)?;
     let mut unusable = of.readings.iter().filter(|r| r.moments.is_none()).count() as u64;
@@ -266,9 +267,9 @@ pub fn track(
         stream: None,
     };
     let mut said = said_of_object(on_object.as_ref());
-    said.extend(found.messages.iter().map(|m| m.line("")));
+    said.extend(found.messages);
     let against = off_object(on_object.as_ref());
     let outcome = Outcome { lost: unusable > 0, doubt: against.is_some(), ..Outcome::default() };
     said.extend(against.map(|said| format!("warning: {said}")));
-    super::conclude(args, files, &document, (said, found.outcome.and(outcome)))
+    super::arguments::conclude(args, files, &document, (said, found.outcome.and(outcome)))
 }

@@ -103,8 +103,8 @@ pub trait Estimator {
 pub struct Findings {
     /// For track.json.
     pub document: EstimatorDocument,
-    /// For people.
-    pub messages: Vec<Message>,
+    /// For people; what the user may not have meant begins with "warning: ".
+    pub messages: Vec<String>,
     /// Readings could not be used for want of a motion.
     pub lost: bool,
     /// Contact in a motion of which the estimator knows nothing, or that does not belong to the moments.
@@ -113,28 +113,4 @@ pub struct Findings {
     pub coverage_rejected: bool,
     /// First and last reading of each contact, s, where each reading knows what came before it alone.
     pub spans_s: Option<Vec<[f64; 2]>>,
-}
-
-/// A sentence for people.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Message {
-    warning: bool,
-    text: String,
-}
-
-impl Message {
-    /// A result.
-    pub fn note(text: impl Into<String>) -> Self {
-        Self { warning: false, text: text.into() }
-    }
-
-    /// Something that the user may not have meant.
-    pub fn warning(text: impl Into<String>) -> Self {
-        Self { warning: true, text: text.into() }
-    }
-
-    /// As a line; `whose` begins the sentence where there are several whiskers.
-    pub fn line(&self, whose: &str) -> String {
-        format!("{}{whose}{}", if self.warning { "warning: " } else { "" }, self.text)
-    }
 }

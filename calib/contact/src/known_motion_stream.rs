@@ -9,7 +9,7 @@
 use crate::ContactError;
 use crate::arc_posterior::ArcDensity;
 use crate::calibrated_wire::CalibratedWire;
-use crate::estimator::{Contact, Estimator, Findings, Message};
+use crate::estimator::{Contact, Estimator, Findings};
 use crate::known_motion::contact_stream::FinishedEpisode;
 use crate::known_motion::{
     ContactStream, CorrelatedNoise, EpisodeContact, MotionRow, Settings, StreamedContact,
@@ -187,33 +187,31 @@ impl KnownMotionStream {
         Ok(slid.filter(|_| touch.weights.regimes.of(Regime::Sliding) > MIN_WEIGHT))
     }
 
-    fn messages(&self) -> Vec<Message> {
+    fn messages(&self) -> Vec<String> {
         let mut all = Vec::new();
         if self.slid > 0 {
-            all.push(Message::warning(format!(
-                "{} of {} rows: no fixed point of the object explains the moments, a contact that slides does; where it ends is not seen yet; marked \
+            all.push(format!(
+                "warning: {} of {} rows: no fixed point of the object explains the moments, a contact that slides does; where it ends is not seen yet; marked \
                  sliding-assumed in status",
                 self.slid, self.rows
-            )));
+            ));
         }
         let lost: u64 = self.alone.lost().values().sum();
         if lost > 0 {
             let why: Vec<String> = self.alone.lost().iter().map(|(name, n)| format!("{name} {n}")).collect();
-            all.push(Message::warning(format!(
-                "the motion of {lost} of {} rows, which are loaded, is not known ({}; --motion, --model): each has the arc that its moments allow; \
+            all.push(format!(
+                "warning: the motion of {lost} of {} rows, which are loaded, is not known ({}; --motion, --model): each has the arc that its moments allow; \
                  marked motion-lost in status",
                 self.rows,
                 why.join(", ")
-            )));
+            ));
         }
         let said = |e: &FinishedEpisode| Some((e.number, e.innovations.sentence()?));
         all.extend(self.episodes.iter().filter_map(said).map(|(number, said)| {
-            Message::warning(format!("contact {number}: {said}; marked motion-disagrees in status"))
+            format!("warning: contact {number}: {said}; marked motion-disagrees in status")
         }));
         if self.episodes.is_empty() && self.stream.is_some() {
-            all.push(Message::note(
-                "no contact: no row is loaded beyond its noise where the motion is known",
-            ));
+            all.push("no contact: no row is loaded beyond its noise where the motion is known".to_owned());
         }
         all
     }

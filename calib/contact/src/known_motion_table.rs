@@ -4,7 +4,7 @@
 use crate::ContactError;
 use crate::arc_posterior::ArcDensity;
 use crate::calibrated_wire::CalibratedWire;
-use crate::estimator::{Contact, Estimator, Findings, Message};
+use crate::estimator::{Contact, Estimator, Findings};
 use crate::known_motion::contact_path::{ContactPath, loaded};
 use crate::known_motion::{
     Episode, EpisodeContact, EpisodeEstimate, MotionRow, Posterior, Settings, episodes, estimate_contact,
@@ -205,7 +205,7 @@ impl KnownMotionTable {
         Ok(TableContact { range, span_s: [rows[0].t_s, rows[to - from - 1].t_s], weights, points, sliding })
     }
 
-    fn messages(&self) -> Vec<Message> {
+    fn messages(&self) -> Vec<String> {
         let mut all = Vec::new();
         let lost: u64 = self.lost.values().sum();
         if lost > 0 {
@@ -245,7 +245,7 @@ impl KnownMotionTable {
                 "no contact: no reading is loaded beyond its noise where the motion is known".to_owned(),
             );
         }
-        all.into_iter().map(Message::note).collect()
+        all
     }
 }
 

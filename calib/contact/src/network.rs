@@ -13,7 +13,7 @@
 
 use crate::ContactError;
 use crate::arc::{any_motion, arc_density};
-use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
+use crate::estimator::{Contact, ContactEstimate, Estimator, Findings};
 use crate::reading::{Moments, Reading};
 use crate::track_document::{EstimatorDocument, SeveralContacts};
 use nalgebra::Vector3;
@@ -126,28 +126,28 @@ impl Estimator for NetworkEstimator<'_> {
         let [rows, probable_rows] = self.several_rows;
         let mut messages = Vec::new();
         if self.foreign_rows > 0 {
-            messages.push(Message::warning(format!(
-                "{} of {} rows are contact of a wire that the network was not trained for: their places assume the trained one, their spread and \
+            messages.push(format!(
+                "warning: {} of {} rows are contact of a wire that the network was not trained for: their places assume the trained one, their spread and \
                  regions are those of the moments alone; marked wire-assumed in status (a known motion needs no network; or train one for this wire)",
                 self.foreign_rows, self.rows
-            )));
+            ));
         }
         if self.assumed_rows > 0 {
-            messages.push(Message::warning(format!(
-                "{} of {} rows are contact in a motion that is not known to be one of training: their places assume the base along its +z \
+            messages.push(format!(
+                "warning: {} of {} rows are contact in a motion that is not known to be one of training: their places assume the base along its +z \
                  past an object at rest, at {:.1} to {:.1} mm/s, their regions hold for any; marked motion-assumed in status (--sweep vouches \
                  for the motion where it is not known)",
                 self.assumed_rows,
                 self.rows,
                 self.card.training.speed_mm_s()[0],
                 self.card.training.speed_mm_s()[1]
-            )));
+            ));
         }
         if probable_rows > 0 {
-            messages.push(Message::note(format!(
+            messages.push(format!(
                 "at {probable_rows} of {rows} rows in contact several contacts are more probable than one (several_probability above 0.5): \
                  the places of the further ones are not estimated"
-            )));
+            ));
         }
         let document = EstimatorDocument {
             model_sha256: Some(self.card.weights_sha256.clone()),

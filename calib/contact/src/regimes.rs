@@ -24,7 +24,7 @@ use wcal_core::stream::Flags;
 /// Of an object of which nothing is known the touched point may go on by so much of the motion (standard deviations, each as probable). An
 /// assumption.
 pub const CREEP_SDS: [f64; 3] = [0.02, 0.1, 0.4];
-/// T: the power of the evidence. An assumption; `tests/contact_regimes.rs` passes with 0.6 and with 1.0 in its place, too.
+/// T: the power of the evidence. An assumption.
 const POWER: f64 = 0.8;
 /// A regime of less weight is left out of what is stated.
 pub const MIN_WEIGHT: f64 = 1e-3;

@@ -4,14 +4,14 @@
 mod session_groove_test;
 
 use crate::ContactError;
-use crate::arc_posterior::Region;
 use crate::calibrated_wire::moment_field;
-use crate::estimator::{Contact, ContactEstimate, Estimator, Findings, Message};
+use crate::estimator::{Contact, ContactEstimate, Estimator, Findings};
+use crate::frame::in_base_frame;
 use crate::groove_comparison::{Compared, coverage_rejected, groove_sentence, groove_tracking};
 use crate::known_motion::contact_path::ContactPath;
 use crate::known_motion::{
-    CorrelatedNoise, Episode, EpisodeContact, EpisodeEstimate, MomentField, MotionRow, Settings, bound_mm,
-    estimate_contact,
+    CorrelatedNoise, Episode, EpisodeContact, EpisodeEstimate, MomentField, MotionRow, Posterior, Settings,
+    bound_mm, estimate_contact,
 };
 use crate::reading::{Moments, Reading};
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method};
@@ -163,20 +163,14 @@ pub fn track(
 }
 
 impl TrackedSession {
-    /// Place at a reading of the system's path, and whether the trajectory disagrees with its motion.
-    pub fn places(&self) -> BTreeMap<usize, (EpisodeContact, bool)> {
-        let of = |t: &TrackedTrajectory| -> Vec<(usize, (EpisodeContact, bool))> {
-            let back = self.frame.rotation().inverse();
-            let in_base = |p: &EpisodeContact| match self.frame.is_base() {
-                true => p.clone(),
-                false => EpisodeContact {
-                    place_mm: p.place_mm.map(|at| back * at),
-                    covariance_mm2: back * p.covariance_mm2 * back.inverse(),
-                    ..p.clone()
-                },
-            };
+    /// What is stated of each reading of the system's path.
+    fn contacts(&self) -> BTreeMap<usize, Contact> {
+        let of = |t: &TrackedTrajectory| -> Vec<(usize, Contact)> {
+            let flags = if t.found.disagrees() { Flags::MOTION_DISAGREES } else { Flags::default() };
+            let regions = t.found.posterior.as_ref().map(Posterior::regions).unwrap_or_default();
             let at = |(r, p): (&ReadingWithMotion, &EpisodeContact)| {
-                (r.reading, (in_base(p), t.found.disagrees()))
+                let estimate = ContactEstimate::of_place(p).map(|e| in_base_frame(&self.frame, e));
+                (r.reading, Contact { estimate, flags, regions: regions.clone(), ..Contact::default() })
             };
             t.readings.iter().zip(&t.found.places).map(at).collect()
         };
@@ -225,26 +219,6 @@ impl TrackedSession {
             }
         }
         Ok(all)
-    }
-
-    /// 95 % regions over the arc length of first touch, by line.
-    pub fn regions(&self) -> BTreeMap<usize, Vec<Region>> {
-        let of =
-            |t: &TrackedTrajectory| Some((t.readings.first()?.line, t.found.posterior.as_ref()?.regions()));
-        self.trajectories.iter().filter_map(of).collect()
-    }
-
-    /// What was found on each trajectory, for track.json.
-    pub fn document(&self) -> Vec<ContactDocument> {
-        let of = |t: &TrackedTrajectory| ContactDocument::of_trajectory(t.id, &t.found, t.readings.len());
-        self.trajectories.iter().map(of).collect()
-    }
-
-    /// What speaks against motion and moments, trajectory by trajectory.
-    pub fn disagreements(&self) -> Vec<String> {
-        let of =
-            |t: &TrackedTrajectory| Some(format!("trajectory {}: {}", t.id, t.found.innovations.sentence()?));
-        self.trajectories.iter().filter_map(of).collect()
     }
 }
 
@@ -310,30 +284,26 @@ impl Estimator for SessionGroove {
     }
 
     fn finish(&mut self) -> Result<Vec<Contact>, ContactError> {
-        let (places, regions) = (self.tracked.places(), self.tracked.regions());
-        let lines = self.tracked.trajectories.iter().flat_map(|t| &t.readings);
-        let lines: BTreeMap<usize, usize> = lines.map(|r| (r.reading, r.line)).collect();
-        let one = |reading: &usize| {
-            let (place, disagrees) = places.get(reading)?;
-            let flags = if *disagrees { Flags::MOTION_DISAGREES } else { Flags::default() };
-            let regions = regions.get(lines.get(reading)?).cloned().unwrap_or_default();
-            Some(Contact { estimate: ContactEstimate::of_place(place), flags, regions, ..Contact::default() })
-        };
-        Ok(self.order.iter().map(|r| one(r).unwrap_or_default()).collect())
+        let mut contacts = self.tracked.contacts();
+        Ok(self.order.iter().map(|r| contacts.remove(r).unwrap_or_default()).collect())
     }
 
     fn findings(&self) -> Findings {
+        let each = || self.tracked.trajectories.iter();
+        let of = |t: &TrackedTrajectory| ContactDocument::of_trajectory(t.id, &t.found, t.readings.len());
         let document = EstimatorDocument {
             method: Some(Method::KnownMotion),
             place: Some(AXIS_OF_WIRE),
-            trajectories: Some(self.tracked.document()),
+            trajectories: Some(each().map(of).collect()),
             ..EstimatorDocument::default()
         };
-        let disagreements = self.tracked.disagreements();
-        let doubt = !disagreements.is_empty();
-        let marked = |said: String| Message::note(format!("{said}; marked motion-disagrees in status"));
-        let mut messages: Vec<Message> = disagreements.into_iter().map(marked).collect();
-        messages.extend(self.groove.as_ref().map(|g| Message::note(groove_sentence(g))));
+        let disagreement = |t: &TrackedTrajectory| {
+            let said = t.found.innovations.sentence()?;
+            Some(format!("trajectory {}: {said}; marked motion-disagrees in status", t.id))
+        };
+        let mut messages: Vec<String> = each().filter_map(disagreement).collect();
+        let doubt = !messages.is_empty();
+        messages.extend(self.groove.as_ref().map(groove_sentence));
         let coverage_rejected = self.groove.as_ref().is_some_and(coverage_rejected);
         Findings { document, messages, doubt, coverage_rejected, ..Findings::default() }
     }

@@ -2,7 +2,7 @@
 
 use crate::ContactError;
 use crate::calibrated_wire::CalibratedWire;
-use crate::estimator::{Estimator, Message};
+use crate::estimator::Estimator;
 use crate::known_groove::{KnownGroove, KnownPlace};
 use crate::known_motion::MotionLog;
 use crate::known_motion_stream::KnownMotionStream;
@@ -185,7 +185,7 @@ impl<'a> StreamSource<'a> {
         let named = |w: &Whisker<'_>| one || whisker.is_some_and(|id| id == w.loaded.name);
         for (w, track) in self.all.iter().zip(tracks).filter(|(w, _)| named(w)) {
             let moved = |p: &KnownPlace| KnownPlace { groove_mm: p.groove_mm + w.offset_mm, ..*p };
-            track.know_groove(KnownGroove::new(places.iter().map(moved).collect(), &w.whisker));
+            track.groove = KnownGroove::new(places.iter().map(moved).collect(), &w.whisker);
         }
     }
 
@@ -244,7 +244,10 @@ impl<'a> StreamSource<'a> {
             let found = track.findings();
             let name = track.name();
             let whose = if name.is_empty() { String::new() } else { format!("whisker {name}: ") };
-            messages.extend(found.messages.iter().map(|m: &Message| m.line(&whose)));
+            messages.extend(found.messages.iter().map(|m| match m.strip_prefix("warning: ") {
+                Some(m) => format!("warning: {whose}{m}"),
+                None => format!("{whose}{m}"),
+            }));
             outcome = outcome.and(found.outcome);
             whiskers.push(w.document(found.document));
         }

@@ -5,7 +5,7 @@
 //! ```
 
 use crate::ContactError;
-use crate::estimator::{Contact, Estimator, Message};
+use crate::estimator::{Contact, Estimator};
 use crate::frame::{in_base_frame, in_wire_frame};
 use crate::known_groove::KnownGroove;
 use crate::mesh_score::{KnownObject, MeshScore};
@@ -49,9 +49,10 @@ pub struct WhiskerTrack<'a> {
     followed: bool,
     last_s: Option<f64>,
     /// The groove that the answers are compared with, where it is known.
-    groove: Option<KnownGroove>,
-    /// The object that is passed, where its place is known, and the distances of the contacts on it, mm.
-    object: Option<KnownObject>,
+    pub groove: Option<KnownGroove>,
+    /// The object that is passed, where its place is known.
+    pub object: Option<KnownObject>,
+    /// Distances of the contacts on it, mm.
     distances_mm: Vec<f64>,
     rows: u64,
     flagged: u64,
@@ -83,16 +84,6 @@ impl<'a> WhiskerTrack<'a> {
             flagged: 0,
             outside: 0,
         }
-    }
-
-    /// Compares answers with a groove whose place is known.
-    pub fn know_groove(&mut self, groove: Option<KnownGroove>) {
-        self.groove = groove;
-    }
-
-    /// States distances from an object whose place is known; none without one.
-    pub fn know_object(&mut self, object: Option<KnownObject>) {
-        self.object = object;
     }
 
     /// Takes the next reading in order of time; the rows that are settled now.
@@ -185,11 +176,9 @@ impl<'a> WhiskerTrack<'a> {
         let end_rmse_mm = found.spans_s.map(|spans_s| groove?.end_rmse_mm(&spans_s));
         let mut messages = found.messages;
         if let Some(mm) = end_rmse_mm.flatten() {
-            messages.push(Message::note(format!(
-                "known groove, last reading of each contact: off by {mm:.2} mm RMS"
-            )));
+            messages.push(format!("known groove, last reading of each contact: off by {mm:.2} mm RMS"));
         }
-        messages.extend(groove.and_then(KnownGroove::message).map(Message::note));
+        messages.extend(groove.and_then(KnownGroove::message));
         let document = WhiskerDocument {
             rows: self.rows,
             flagged_rows: self.flagged,
@@ -221,7 +210,7 @@ pub struct TrackFindings {
     /// For track.json.
     pub document: WhiskerDocument,
     /// For people.
-    pub messages: Vec<Message>,
+    pub messages: Vec<String>,
     /// For the exit code.
     pub outcome: Outcome,
 }

@@ -394,8 +394,9 @@ impl<'a, M: SessionModel> Facts<'a, M> {
     fn after_withdrawal(&self, base: Hypothesis, withdrawn: &Withdrawn, unit: &str) -> Conclusion {
         let effects: Vec<NamedEffect> = self.model.noise_effect().into_iter().collect();
         let [before, after] = withdrawn.errors.map(readable);
+        let changes = if withdrawn.errors[1] > withdrawn.errors[0] { "rises" } else { "hardly falls" };
         let found = format!(
-            "The fitted readings support {}, but the error of readings left out in turn rises from {before} to {} with it: not accepted.",
+            "The fitted readings support {}, but the error of readings left out in turn {changes} from {before} to {} with it: not accepted.",
             join(&withdrawn.names),
             format!("{after} {unit}").trim_end()
         );

@@ -65,7 +65,7 @@ pub fn cross_validate<M: SessionModel>(
     // Where each term has earned its gain over whole groups already, pictures among it, the first quantity's error alone says no more.
     let judged = model.cross_validates_terms() || accepted.fit.terms.is_empty() || on_request;
     let may_fall = !judged && facts.asserts(&accepted, on_request);
-    let rise = left_out.rise(&model).filter(|_| may_fall);
+    let rise = left_out.not_earned(&model).filter(|_| may_fall);
     let names = |h: &Hypothesis| facts.effects(h).into_iter().map(|e| e.id).collect();
     let withdrawn = rise.map(|errors| Withdrawn { names: names(&accepted), errors });
     if withdrawn.is_some() {

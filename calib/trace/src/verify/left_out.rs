@@ -52,6 +52,9 @@ impl Errors {
     }
 }
 
+/// Part of the error, root mean square, that effects may leave: a hundredth of the squares is within the model's error.
+const EARNED: f64 = 0.995;
+
 /// Errors of open readings that were left out in turn, and how they were.
 pub struct LeftOut {
     /// Declared and accepted model.
@@ -60,12 +63,12 @@ pub struct LeftOut {
 }
 
 impl LeftOut {
-    /// Error before and after in the first quantity, where it rises with the accepted effects.
-    pub fn rise<M: SessionModel>(&self, model: &M) -> Option<[f64; 2]> {
+    /// Error before and after in the first quantity, where the accepted effects do not earn their names: it rises with them, or falls by less than matters.
+    pub fn not_earned<M: SessionModel>(&self, model: &M) -> Option<[f64; 2]> {
         let key = model.quantities()[0].key;
         let of = |e: &Option<HeldOutError>| e.as_ref()?.rmse.get(key).copied();
         let (before, after) = (of(&self.errors.before)?, of(&self.errors.after)?);
-        (after > before).then_some([before, after])
+        (after > EARNED * before).then_some([before, after])
     }
 
     /// What the fit and the left-out readings lose without each accepted effect, the others refitted.

@@ -32,7 +32,7 @@ const MUCH_MORE: f64 = 4.0;
 const MATTERS: f64 = 0.5;
 
 /// Errors of readings that are left out in turn, in units of their noise; none where a fold has no fit.
-pub(super) struct LeftOut {
+struct LeftOut {
     errors: Vec<f64>,
 }
 
@@ -92,6 +92,9 @@ fn slow_noise(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> Option<Noise>
 fn take(system: &ScalarSystem, explained: &mut Explained, outcome: Outcome, options: &Options) {
     let found = &mut explained.found;
     let Some(first) = outcome.standing.first().cloned() else { return };
+    if !outcome.competed.contains(&keys(&found.best)) {
+        return;
+    }
     let apart = |h: &&Hypothesis| !outcome.competed.contains(&keys(h));
     let other: Vec<Hypothesis> = found.survivors.iter().filter(apart).cloned().collect();
     if keys(&first) != keys(&found.best) {
@@ -285,7 +288,8 @@ fn prefer_polynomial(system: &ScalarSystem, explained: &mut Explained, options: 
         return;
     };
     let smooth = contest.hypothesis(fit);
-    if system.pure_error(&smooth).is_some_and(|l| l.p_value.is_some_and(|p| p < REPLICATES)) {
+    let lacks = system.pure_error(&smooth).is_some_and(|l| l.p_value.is_some_and(|p| p < REPLICATES));
+    if lacks || system.unidentified_term(&smooth).is_some() {
         return;
     }
     let last_test = omnibus_test(system, &smooth.fit, &smooth.weights, options);

@@ -44,9 +44,12 @@ pub(super) fn factor(
                 )
             }
             (Relation::Other, _) => {
-                bail!(
-                    "{file}, field {column}: expected {to}, found {unit} ({option} '{column}*FACTOR' takes another unit)"
-                )
+                // Temperatures have another zero.
+                let way = match name {
+                    "temperature_degc" => "convert the column".to_owned(),
+                    _ => format!("{option} '{column}*FACTOR' takes another unit"),
+                };
+                bail!("{file}, field {column}: expected {to}, found {unit} ({way})")
             }
             _ => {}
         }

@@ -4,15 +4,15 @@
 //! D = sum e'^2 - e^2,   sd(D) = 2 sqrt(d' C d),  d = e' - e         e, e': left-out errors of the best bend and of another one; C: covariance of the noise
 //! ```
 //!
-//! Were the other one true, it would fall behind by D > z sd(D) in one session of a hundred; the best of k bends was searched. In dense sweeps the noise is
-//! correlated, and a smooth difference d is as uncertain as its slow part. Where the stimulus only rises, such noise is a bend by another name: a verdict
-//! does not choose between them.
+//! Were the other one true, it would fall behind by D > z sd(D) in one session of a hundred; in one of a thousand beside correlated noise, whose time constant
+//! comes from the same readings. There a smooth difference d is as uncertain as the noise's slow part, and where the stimulus only rises such noise is a bend
+//! by another name: a verdict does not choose between them.
 
 use super::effects::POLYNOMIAL;
 use super::frame::Declared;
 use super::system::ScalarSystem;
 use crate::effect::{EffectModel, EffectTerm};
-use crate::levels::{REPLICATES, RIVAL, z};
+use crate::levels::{REPLICATES, RETAIN_BESIDE_CORRELATED, RIVAL, z};
 use crate::measurement_model::MeasurementModel;
 use crate::method::admissible::REFIT_STEPS;
 use crate::method::fit::{Fit, Status, Weights, fit};
@@ -136,6 +136,8 @@ struct Contest<'a> {
     folds: Folds,
     /// Covariance of the errors' noise.
     noise: DMatrix<f64>,
+    /// Standard deviations of D beyond which a bend falls.
+    z: f64,
 }
 
 impl<'a> Contest<'a> {
@@ -160,6 +162,7 @@ impl<'a> Contest<'a> {
             independent: Weights::independent(h.weights.relative().to_vec()),
             folds: system.folds(h),
             noise: covariance,
+            z: z(if noise.correlated.is_some() { RETAIN_BESIDE_CORRELATED } else { RIVAL }),
         }
     }
 
@@ -202,9 +205,8 @@ impl<'a> Contest<'a> {
     fn outcome(&self) -> Outcome {
         let mut all = self.bends();
         all.sort_by(|a, b| a.1.squares().total_cmp(&b.1.squares()));
-        let z = z(RIVAL / all.len().max(1) as f64);
         let mut set: Vec<Hypothesis> = Vec::new();
-        for (f, _) in all.iter().filter(|(_, e)| !e.is_behind(&all[0].1, &self.noise, z)) {
+        for (f, _) in all.iter().filter(|(_, e)| !e.is_behind(&all[0].1, &self.noise, self.z)) {
             let own = fit(self.system, &f.terms, &self.of.weights, REFIT_STEPS);
             let own = own.map(|fit| Hypothesis { fit, ..self.of.clone() });
             set.extend(own.filter(|h| set.iter().all(|s| keys(s) != keys(h))));

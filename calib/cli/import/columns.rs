@@ -1,7 +1,6 @@
 //! Column mapping: cells of the foreign table under the session's names.
 
 use super::arguments::{Declared, ImportArgs, Kind, split_factor};
-use super::imported::is_uncertainty;
 use super::units;
 use anyhow::{Context, bail, ensure};
 use wcal_core::TransducerModel;
@@ -171,7 +170,10 @@ impl Plan {
                 let text = format!("{count} columns named {column} with the same cells; counted once");
                 plan.warnings.push(format!("{}: {text}", table.file));
             }
-            if !SCALAR_COLUMNS.contains(&name.as_str()) && is_uncertainty(&column) {
+            let of_the_kind = ["point", "role", "stimulus", "response"];
+            let covariate = args.kind == Kind::Transducer
+                && !SCALAR_COLUMNS.iter().chain(&of_the_kind).any(|n| *n == name);
+            if covariate && units::is_uncertainty(&column) {
                 let text = "looks like an uncertainty: as a covariate it counts as a cause";
                 plan.warnings.push(format!("{}: {column} {text}", table.file));
             }

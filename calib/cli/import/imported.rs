@@ -2,6 +2,7 @@
 
 use super::arguments::ImportArgs;
 use super::columns::{Plan, WAY_IN};
+use super::units::is_uncertainty;
 use crate::output::{OutputFolder, ResultKind, first_line};
 use crate::simulated::word;
 use schemars::JsonSchema;
@@ -128,16 +129,6 @@ pub(super) fn say(
         eprintln!("warning: {warning}");
     }
     Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
-}
-
-/// Whether a column's name says that it holds uncertainties: `u_p_kpa`, `U(F)`, `sd`, `std_dev`, `Unsicherheit`.
-pub(super) fn is_uncertainty(name: &str) -> bool {
-    let name = name.to_lowercase();
-    let word =
-        |w: &str| matches!(w, "u" | "sd" | "std" | "stdev" | "stddev" | "sigma" | "unc" | "stderr" | "se");
-    let parts = |c: char| !c.is_alphanumeric();
-    ["uncert", "unsicher", "std_dev", "standard deviation", "standardabw"].iter().any(|w| name.contains(w))
-        || name.split(parts).any(word)
 }
 
 /// A table that became a session.

@@ -153,3 +153,14 @@ pub(super) fn signal(
         _ => Ok(taken),
     }
 }
+
+/// Whether a column's name says that it holds uncertainties: `u_p_kpa`, `sd`, `std_dev`, `Unsicherheit`.
+pub(super) fn is_uncertainty(name: &str) -> bool {
+    let name = name.to_lowercase();
+    let word = |w: &str| matches!(w, "sd" | "std" | "stdev" | "stddev" | "sigma" | "unc" | "stderr" | "se");
+    let parts = |c: char| !c.is_alphanumeric();
+    ["uncert", "unsicher", "std_dev", "standard deviation", "standardabw"].iter().any(|w| name.contains(w))
+        || name.split(parts).any(word)
+        // u_p_kpa; a voltage is u_mv.
+        || (name.split(parts).next() == Some("u") && name.split(parts).filter(|part| !part.is_empty()).count() > 2)
+}

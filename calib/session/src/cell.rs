@@ -142,6 +142,11 @@ pub(crate) fn direction(cell: &str) -> Option<f64> {
     if is(&UP) { Some(1.0) } else { is(&DOWN).then_some(-1.0) }
 }
 
+/// Name of a column in one line with single blanks.
+pub fn name_of(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,6 +1,6 @@
 //! The form of a table of another program: where its header and its rows are, and which lines are neither.
 
-use crate::cell::{Content, content};
+use crate::cell::{Content, content, name_of};
 use crate::error::{InputError, listed, quote};
 use crate::quantity::written;
 use crate::separated::{Separator, records};
@@ -78,11 +78,6 @@ pub(crate) struct Form {
     pub(crate) remarks: Vec<String>,
     /// Breaks of the record, and lines that may have been rows.
     pub(crate) warnings: Vec<String>,
-}
-
-/// Name of a column in one line with single blanks.
-pub fn name_of(text: &str) -> String {
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// Names in a line, the mark of a comment before them left out; empty cells at its end name nothing.

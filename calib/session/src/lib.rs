@@ -30,10 +30,10 @@ mod whisker_checks;
 mod whisker_meta;
 mod write;
 
+pub use cell::name_of as column_name;
 pub use edit::set_entries;
 pub use error::{InputError, InputErrorFields, SessionError};
 pub use findings::{Finding, Severity, examine};
-pub use form::name_of as column_name;
 pub use holdout::{add_session, attach_holdout};
 pub use ledger::{LedgerError, LedgerFile, SessionLedger};
 pub use quantity::{Relation, bracketed, relation, unit_in_name};

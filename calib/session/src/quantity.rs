@@ -1,6 +1,6 @@
 //! Units as people write them, at the end of a column's name or in a line of units: what they measure, and how much of its base unit they are.
 
-use crate::form::name_of;
+use crate::cell::name_of;
 
 /// Symbols that take SI prefixes.
 const SYMBOLS: [&str; 13] = ["V/V", "N", "Pa", "V", "A", "m", "s", "g", "Hz", "W", "Nm", "Ohm", "K"];

@@ -1,10 +1,10 @@
 //! Tables of text: a session's own, with commas between fields and a dot before decimals, and those of other programs after some header
 //! lines. Every cell is known by file, line and column.
 
-use crate::cell::{Content, content, direction, grouped, is_missing, plain};
+use crate::cell::{Content, content, direction, grouped, is_missing, name_of, plain};
 use crate::columns::column_range;
 use crate::error::{InputError, SessionError, listed, not_utf8, quote};
-use crate::form::{Form, Place, Preamble, name_of};
+use crate::form::{Form, Place, Preamble};
 use crate::separated::{Separator, other_separator, records};
 use crate::stamp;
 use crate::units::split_unit;

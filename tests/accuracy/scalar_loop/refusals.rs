@@ -10,8 +10,8 @@ fn broken_input_is_refused_or_narrowed_and_never_a_panic() {
         (
             "too few rows",
             TRANSDUCER,
-            line_table(5, plain, |k, x, y| format!("{k},calibration,{x},{y}")),
-            "at least 8",
+            line_table(3, plain, |k, x, y| format!("{k},calibration,{x},{y}")),
+            "at least 4",
         ),
         (
             "constant stimulus",
@@ -25,7 +25,7 @@ fn broken_input_is_refused_or_narrowed_and_never_a_panic() {
             line_table(30, timed, |k, x, y| format!("{k},calibration,{x},{y},{}", (k + 15) % 30)),
             "clock runs backwards",
         ),
-        ("too few rows of an axis", AXIS, axis_table(5, |_, _| 0.0), "at least 8"),
+        ("too few rows of an axis", AXIS, axis_table(3, |_, _| 0.0), "at least 4"),
         (
             "axis clock backwards",
             AXIS,
@@ -143,7 +143,7 @@ fn a_refusal_leaves_nothing_of_an_earlier_run_but_the_record_of_unsealing() {
     assert_eq!(names(), ["calibration.json", "predictions.csv", "report.html", "verify.json"]);
     // Data that the checks refuse.
     let good = fs::read_to_string(folder.path().join("points.csv")).unwrap();
-    let few: Vec<&str> = good.lines().take(6).collect();
+    let few: Vec<&str> = good.lines().take(4).collect();
     fs::write(folder.path().join("points.csv"), few.join("\n")).unwrap();
     assert_eq!(run(&[]).status.code(), Some(1));
     assert_eq!(names(), ["report.html", "verify.json"]);

@@ -15,6 +15,7 @@ pub mod parameters;
 pub mod polynomial;
 pub mod predictions;
 mod range_limit;
+mod row;
 mod scalar_effect;
 mod sequence;
 mod spread_trend;

@@ -1,6 +1,6 @@
 //! What the order of the rows says: directions, strokes, series.
 
-use super::frame::{ScalarRow, all, range};
+use super::row::{ScalarRow, all, range};
 use std::cmp::Ordering;
 
 /// A table sorted by the stimulus with its repetitions side by side was put in order afterwards, or might have been: where a reading

@@ -1,6 +1,6 @@
 //! What the unit of the stimulus and the read-out's range say: a full turn, absolute zero, and where a count starts again.
 
-use super::frame::ScalarRow;
+use super::row::ScalarRow;
 use std::f64::consts::TAU;
 
 /// A full turn in a unit of angle.

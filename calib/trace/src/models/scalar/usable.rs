@@ -52,6 +52,10 @@ fn is_deviation(system: &ScalarSystem) -> bool {
 
 /// Unit `a` in units of `b`, where both are one quantity by their prefixes.
 fn ratio_of_units(a: &str, b: &str) -> Option<f64> {
+    // Counts and units that nobody stated are no quantity.
+    if [a, b].iter().any(|unit| matches!(unit.trim(), "" | "1")) {
+        return None;
+    }
     let forms = |unit: &str| -> Vec<(String, f64)> {
         let unit = unit.trim();
         let kelvin = matches!(unit, "degC" | "\u{b0}C" | "K").then(|| ("K".to_owned(), 1.0));

@@ -1,0 +1,70 @@
+//! One reading of a transducer or an axis.
+
+use wcal_core::observation::{AxisRow, Role, TransducerRow};
+
+/// One reading; `y` is the response, or measured - commanded in um.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScalarRow {
+    /// File, line and point of the row.
+    pub origin: (String, usize, i64),
+    /// Role in the table.
+    pub role: Role,
+    /// Stimulus, or commanded position in mm.
+    pub x: f64,
+    /// Response, or measured - commanded in um.
+    pub y: f64,
+    /// Time, s.
+    pub t_s: Option<f64>,
+    /// Temperature, deg C.
+    pub temperature_degc: Option<f64>,
+    /// +1 or -1.
+    pub direction: Option<f64>,
+    /// Cycle (axis) or replicate (transducer).
+    pub cycle: Option<u32>,
+    /// Further covariates.
+    pub covariates: Vec<f64>,
+    /// Place among all readings of the session, where not all of them are fitted; none: as they come.
+    pub place: Option<usize>,
+}
+
+impl From<&TransducerRow> for ScalarRow {
+    fn from(r: &TransducerRow) -> Self {
+        Self {
+            origin: (r.source.clone(), r.line, r.point),
+            role: r.role,
+            x: r.stimulus,
+            y: r.response,
+            t_s: r.t_s,
+            temperature_degc: r.temperature_degc,
+            direction: r.direction,
+            cycle: r.replicate,
+            covariates: r.covariates.clone(),
+            place: None,
+        }
+    }
+}
+
+impl From<&AxisRow> for ScalarRow {
+    fn from(r: &AxisRow) -> Self {
+        Self {
+            origin: (r.source.clone(), r.line, r.point),
+            role: r.role,
+            x: r.commanded_mm,
+            y: 1e3 * (r.measured_mm - r.commanded_mm),
+            t_s: r.t_s,
+            temperature_degc: r.temperature_degc,
+            direction: r.direction,
+            cycle: r.cycle,
+            covariates: Vec::new(),
+            place: None,
+        }
+    }
+}
+
+pub(super) fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], v| [a.min(v), b.max(v)])
+}
+
+pub(super) fn all<T: Copy>(rows: &[ScalarRow], f: impl Fn(&ScalarRow) -> Option<T>) -> Option<Vec<T>> {
+    rows.iter().map(f).collect()
+}

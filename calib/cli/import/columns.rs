@@ -173,7 +173,7 @@ impl Plan {
             let of_the_kind = ["point", "role", "stimulus", "response"];
             let covariate = args.kind == Kind::Transducer
                 && !SCALAR_COLUMNS.iter().chain(&of_the_kind).any(|n| *n == name);
-            if covariate && units::is_uncertainty(&column) {
+            if covariate && units::is_uncertainty(&column, &table.columns) {
                 let text = "looks like an uncertainty: as a covariate it counts as a cause";
                 plan.warnings.push(format!("{}: {column} {text}", table.file));
             }

@@ -154,13 +154,14 @@ pub(super) fn signal(
     }
 }
 
-/// Whether a column's name says that it holds uncertainties: `u_p_kpa`, `sd`, `std_dev`, `Unsicherheit`.
-pub(super) fn is_uncertainty(name: &str) -> bool {
+/// Whether a column's name says that it holds uncertainties, of `columns` that stand beside it: `u_load` beside `load`, `sd`, `std_dev`, `Unsicherheit`. A
+/// voltage may be called `u_mv`.
+pub(super) fn is_uncertainty(name: &str, columns: &[String]) -> bool {
     let name = name.to_lowercase();
     let word = |w: &str| matches!(w, "sd" | "std" | "stdev" | "stddev" | "sigma" | "unc" | "stderr" | "se");
     let parts = |c: char| !c.is_alphanumeric();
+    let of = |column: &String| name.strip_prefix("u_").is_some_and(|of| of == column.to_lowercase());
     ["uncert", "unsicher", "std_dev", "standard deviation", "standardabw"].iter().any(|w| name.contains(w))
         || name.split(parts).any(word)
-        // u_p_kpa; a voltage is u_mv.
-        || (name.split(parts).next() == Some("u") && name.split(parts).filter(|part| !part.is_empty()).count() > 2)
+        || columns.iter().any(of)
 }

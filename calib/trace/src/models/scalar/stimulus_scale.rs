@@ -97,7 +97,7 @@ mod tests {
     #[test]
     fn a_count_that_starts_again_is_told_from_a_step() {
         assert_eq!(wraps(&counts(12, 3000.0, 0.5)), vec![94.5]);
-        assert_eq!(wraps(&counts(14, 5000.0, 0.5)), vec![247.5]);
+        assert_eq!(wraps(&counts(14, 5000.0, 0.5)), vec![256.5]);
         // Controls: from zero on nothing wraps, and a step by another height is none.
         assert!(wraps(&counts(14, 0.0, 0.5)).is_empty());
         let mut stepped = counts(14, 0.0, 0.5);

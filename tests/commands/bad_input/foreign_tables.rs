@@ -158,7 +158,7 @@ fn times_are_in_the_unit_that_the_table_states_or_it_is_asked() {
         let last = held.last().and_then(|line| line.rsplit(',').next()?.parse::<f64>().ok());
         (code, last.map(|s| s - held[0].rsplit(',').next().unwrap().parse::<f64>().unwrap()), said)
     };
-    let clock = |k: usize| format!("{:02}:{:02}:{:02}", (23 + (k + 2) / 3) % 24, (40 + 20 * k) % 60, 5);
+    let clock = |k: usize| format!("{:02}:{:02}:{:02}", (23 + k.div_ceil(3)) % 24, (40 + 20 * k) % 60, 5);
     let stamp = |k: usize| format!("2025-03-0{}T{}", 4 + usize::from(k > 0), clock(k));
     for (t, time) in [
         ("t_s", &(|k: usize| (1200 * k).to_string()) as &dyn Fn(usize) -> String),

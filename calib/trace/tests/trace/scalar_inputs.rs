@@ -63,7 +63,7 @@ fn parameter(v: &ScalarVerification, name: &str) -> (f64, [f64; 2]) {
 /// Four runs up and down over `levels`, the reference scattering by `scatter` (levels 500 apart), the response by `sd`.
 fn against_a_reference(seed: u64, scatter: f64, bend: f64) -> Vec<Reading> {
     let mut z = noise(seed);
-    let level = |k: usize| if k / 11 % 2 == 0 { k % 11 } else { 10 - k % 11 } as f64;
+    let level = |k: usize| if (k / 11).is_multiple_of(2) { k % 11 } else { 10 - k % 11 } as f64;
     let reading = |k: usize| {
         let at = 500.0 * level(k);
         let law = 0.3 + 0.004 * at + bend * (at / 5000.0).powi(2);

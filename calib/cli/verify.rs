@@ -132,37 +132,11 @@ pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
     } else {
         print_text(&done, &folder);
     }
-    if let Some(why) = exit_reason(&done.verify, doubtful) {
-        eprintln!("verify: {why}");
+    let (code, why) = exit_code(&done.verify, doubtful);
+    if code != 0 {
+        eprintln!("verify: exit code {code}: {why}");
     }
-    Ok(exit_code(&done.verify, doubtful))
-}
-
-/// Why the exit code is not 0, and what to do.
-fn exit_reason(verify: &VerifyDocument, doubtful: bool) -> Option<&'static str> {
-    Some(match verify.verdict {
-        Verdict::Refused => "refused: the data cannot be used; correct what the reason names",
-        Verdict::Ambiguous => {
-            "exit code 4: explanations of more than one class remain; take the next measurement that is named, or choose one with --accept"
-        }
-        Verdict::UnknownEffect => {
-            "exit code 4: something is left that no effect explains, and no calibration was written; report.html shows what it follows"
-        }
-        Verdict::TwinFault => {
-            "exit code 4: labels of the outside twin are faulty; correct them as the fault says, or use the rod's (fit-gpr --labels rod)"
-        }
-        _ if verify.holdout.outcome == HoldoutOutcome::Contradicted => {
-            "exit code 4: the sealed readings contradict the accepted model, and no calibration was written; measure again, or look for what changed between"
-        }
-        _ if !verify.cautions.is_empty() => "exit code 3: the calibration stands within the cautions above",
-        _ if verify.after_trimmed.is_some() => {
-            "exit code 3: single sealed readings lie far outside the noise; look at them (predictions.csv) before the calibration is used"
-        }
-        _ if doubtful => {
-            "exit code 3: the session was read with the warnings above; look at them before the calibration is used"
-        }
-        _ => return None,
-    })
+    Ok(ExitCode::from(code))
 }
 
 /// `SESSION-verified`, beside the session.
@@ -204,15 +178,36 @@ fn refuse_unusable(args: &VerifyArgs, mut out: OutputFolder<'_>, why: SessionErr
     }
 }
 
-/// Exit code of a result; `doubtful` where the session was read with warnings.
-pub fn exit_code(verify: &VerifyDocument, doubtful: bool) -> ExitCode {
-    let doubtful = doubtful || verify.after_trimmed.is_some() || !verify.cautions.is_empty();
-    ExitCode::from(match verify.verdict {
-        Verdict::Refused => 1,
-        Verdict::Ambiguous | Verdict::UnknownEffect | Verdict::TwinFault => 4,
-        _ if verify.holdout.outcome == HoldoutOutcome::Contradicted => 4,
-        Verdict::Adequate | Verdict::Effect => u8::from(doubtful) * 3,
-    })
+/// Exit code of a result, and where it is not 0 why and what to do; `doubtful` where the session was read with warnings.
+fn exit_code(verify: &VerifyDocument, doubtful: bool) -> (u8, &'static str) {
+    match verify.verdict {
+        Verdict::Refused => (1, "the data cannot be used; correct what the reason names"),
+        Verdict::Ambiguous => (
+            4,
+            "explanations of more than one class remain; take the next measurement that is named, or choose one with --accept",
+        ),
+        Verdict::UnknownEffect => (
+            4,
+            "something is left that no effect explains, and no calibration was written; report.html shows what it follows",
+        ),
+        Verdict::TwinFault => (
+            4,
+            "labels of the outside twin are faulty; correct them as the fault says, or use the rod's (fit-gpr --labels rod)",
+        ),
+        _ if verify.holdout.outcome == HoldoutOutcome::Contradicted => (
+            4,
+            "the sealed readings contradict the accepted model, and no calibration was written; measure again, or look for what changed between",
+        ),
+        _ if !verify.cautions.is_empty() => (3, "the calibration stands within the cautions above"),
+        _ if verify.after_trimmed.is_some() => (
+            3,
+            "single sealed readings lie far outside the noise; look at them (predictions.csv) before the calibration is used",
+        ),
+        _ if doubtful => {
+            (3, "the session was read with the warnings above; look at them before the calibration is used")
+        }
+        _ => (0, ""),
+    }
 }
 
 /// What the loop gives for a session, whatever its kind.

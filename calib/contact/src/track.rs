@@ -32,9 +32,14 @@ pub fn track<E: From<ContactError>>(
         match input {
             Ok(Input::Reading(whisker, reading)) => {
                 let begun = Instant::now();
-                let rows = tracks[whisker].push(*reading)?;
+                match tracks[whisker].push(*reading) {
+                    Ok(rows) => rows.iter().try_for_each(|row| files.row(row))?,
+                    Err(why) => {
+                        fault = Some(why.into());
+                        break;
+                    }
+                }
                 spent += begun.elapsed();
-                rows.iter().try_for_each(|row| files.row(row))?;
             }
             Ok(Input::Idle) => {}
             Err(why) => {

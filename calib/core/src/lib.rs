@@ -23,6 +23,7 @@ pub mod repeats;
 pub mod residual;
 pub mod rig_devices;
 pub mod sealed;
+pub mod sealed_rows;
 pub mod shapes_document;
 pub mod standstill;
 pub mod stream;
@@ -32,11 +33,12 @@ pub mod wire_frame;
 
 pub use calibration::{CalibrationFile, CalibrationFrame, CalibrationNoise, VerificationStatus};
 pub use observation::{
-    AxisData, AxisRow, FbgSpec, MomentAxes, PairLeftOut, Role, SealedRows, SessionData, SessionKind,
-    SessionShapes, Trajectory, TransducerData, TransducerModel, TransducerRow, TwinLabel, WhiskerData,
-    WhiskerRow, WhiskerSpec,
+    AxisData, AxisRow, FbgSpec, MomentAxes, PairLeftOut, Role, SessionData, SessionKind, SessionShapes,
+    Trajectory, TransducerData, TransducerModel, TransducerRow, TwinLabel, WhiskerData, WhiskerRow,
+    WhiskerSpec,
 };
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;
 pub use sealed::{Decide, Labelled, Ledger, Look, Opened, Opening, RowLabel, Sealed};
+pub use sealed_rows::SealedRows;
 pub use wire_frame::WireFrame;

@@ -8,6 +8,8 @@
     reason = "a test that fails should say where, and one that measures says what it found"
 )]
 
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
 use wcal_trace::MeasurementModel;
 use wcal_trace::method::fit::Weights;
 use wcal_trace::method::options::Options;
@@ -15,6 +17,7 @@ use wcal_trace::method::search::{
     Search, compare_rivals, project_signatures, refit, screen_subsets, select_model, test_adequacy,
 };
 use wcal_trace::method::search_result::SearchResult;
+use wcal_trace::scalar::ScalarVerification;
 
 /// One search under a noise that is known, as `verify` makes it in each round.
 fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Options) -> Option<SearchResult> {
@@ -28,6 +31,27 @@ fn search(system: &dyn MeasurementModel, weights: &Weights, options: &Options) -
         }
     }
     Some(compare_rivals(system, &search))
+}
+
+/// Draws with a seed.
+struct Noise(rand_chacha::ChaCha8Rng);
+
+impl Noise {
+    fn new(seed: u64) -> Self {
+        Self(rand_chacha::ChaCha8Rng::seed_from_u64(seed))
+    }
+    /// Gaussian, of unit variance.
+    fn next(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.0)
+    }
+    fn uniform(&mut self) -> f64 {
+        rand::RngExt::random(&mut self.0)
+    }
+}
+
+/// Names that a verification gives.
+fn names(v: &ScalarVerification) -> Vec<&str> {
+    v.document.effects.iter().map(|e| e.id.as_str()).collect()
 }
 
 mod engine_stages;

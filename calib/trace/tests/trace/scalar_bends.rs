@@ -1,7 +1,6 @@
 //! The field's laws compete: which bend, whose zero, whose clock. SIMULATED, each with a control.
 
-use rand::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
+use super::Noise;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 use wcal_core::Sealed;
@@ -10,17 +9,6 @@ use wcal_core::verify_document::Verdict;
 use wcal_trace::method::options::Options;
 use wcal_trace::scalar::{ScalarData, ScalarVerification, verify_scalar};
 use wcal_trace::verify::VerifyRequest;
-
-struct Noise(rand_chacha::ChaCha8Rng);
-
-impl Noise {
-    fn new(seed: u64) -> Self {
-        Self(rand_chacha::ChaCha8Rng::seed_from_u64(seed))
-    }
-    fn next(&mut self) -> f64 {
-        StandardNormal.sample(&mut self.0)
-    }
-}
 
 /// A reading: stimulus, time, series.
 type At = (f64, Option<f64>, Option<u32>);

@@ -1,7 +1,6 @@
 //! Designs that repeat: what belongs to places, poses or levels is no law of the order, the time or the stimulus; true laws keep their names.
 
-use rand::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
+use super::{Noise, names};
 use rayon::prelude::*;
 use wcal_core::Sealed;
 use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
@@ -10,27 +9,12 @@ use wcal_trace::method::options::Options;
 use wcal_trace::scalar::{ScalarData, ScalarRow, ScalarVerification, verify_scalar};
 use wcal_trace::verify::VerifyRequest;
 
-struct Noise(rand_chacha::ChaCha8Rng);
-
-impl Noise {
-    fn new(seed: u64) -> Self {
-        Self(rand_chacha::ChaCha8Rng::seed_from_u64(seed))
-    }
-    fn next(&mut self) -> f64 {
-        StandardNormal.sample(&mut self.0)
-    }
-}
-
 fn run(data: ScalarData, seed: u64) -> ScalarVerification {
     let options = VerifyRequest {
         search: Options { seed, draws: 400, largest: 2, ..Options::default() },
         ..VerifyRequest::default()
     };
     verify_scalar("simulated", data, Sealed::default(), &options).unwrap()
-}
-
-fn names(v: &ScalarVerification) -> Vec<&str> {
-    v.document.effects.iter().map(|e| e.id.as_str()).collect()
 }
 
 /// `cycles` to and fro over `places`, from cycle `first`; errors in um of reading, place and way.

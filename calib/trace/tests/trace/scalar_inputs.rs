@@ -1,8 +1,7 @@
 //! Plain inputs of other people: a reference that is read with noise, places that nearly repeat, several loads in turn, read-outs at their limit,
 //! few readings, a quantity that nobody set. SIMULATED; every test has a control without the fault.
 
-use rand::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
+use super::{Noise, names};
 use wcal_core::Sealed;
 use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::verify_document::Verdict;
@@ -46,12 +45,8 @@ fn linear(readings: Vec<Reading>) -> ScalarVerification {
 }
 
 fn noise(seed: u64) -> impl FnMut() -> f64 {
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-    move || StandardNormal.sample(&mut rng)
-}
-
-fn names(v: &ScalarVerification) -> Vec<&str> {
-    v.document.effects.iter().map(|e| e.id.as_str()).collect()
+    let mut rng = Noise::new(seed);
+    move || rng.next()
 }
 
 /// Value of a named parameter with its interval.

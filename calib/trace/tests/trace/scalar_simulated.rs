@@ -1,7 +1,6 @@
 //! Simulated transducer and axis sessions: nothing is named where nothing is, and every effect of the catalogue is named where it is.
 
-use rand::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
+use super::Noise;
 use rayon::prelude::*;
 use statrs::distribution::{Beta, ContinuousCDF};
 use wcal_core::observation::{AxisData, AxisRow, Role, TransducerData, TransducerModel, TransducerRow};
@@ -10,20 +9,6 @@ use wcal_core::{Sealed, SealedRows};
 use wcal_trace::method::options::Options;
 use wcal_trace::scalar::{ScalarData, ScalarVerification, verify_scalar};
 use wcal_trace::verify::VerifyRequest;
-
-struct Noise(rand_chacha::ChaCha8Rng);
-
-impl Noise {
-    fn new(seed: u64) -> Self {
-        Self(rand_chacha::ChaCha8Rng::seed_from_u64(seed))
-    }
-    fn next(&mut self) -> f64 {
-        StandardNormal.sample(&mut self.0)
-    }
-    fn uniform(&mut self) -> f64 {
-        rand::RngExt::random(&mut self.0)
-    }
-}
 
 /// Reading of a simulated sweep, before the response is known.
 struct Reading {

@@ -1,9 +1,8 @@
 //! Structure that is no law, and laws that are more than one: what rests on one level is no name, what acts twice is found twice, a floor is the
 //! scatter of a new reading. SIMULATED, each with a control.
 
-use rand::SeedableRng;
+use super::{Noise, names};
 use rand::seq::SliceRandom;
-use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 use wcal_core::Sealed;
@@ -12,17 +11,6 @@ use wcal_core::verify_document::{EffectParameter, Verdict, VerifyDocument};
 use wcal_trace::method::options::Options;
 use wcal_trace::scalar::{ScalarData, ScalarRow, ScalarVerification, verify_scalar};
 use wcal_trace::verify::VerifyRequest;
-
-struct Noise(rand_chacha::ChaCha8Rng);
-
-impl Noise {
-    fn new(seed: u64) -> Self {
-        Self(rand_chacha::ChaCha8Rng::seed_from_u64(seed))
-    }
-    fn next(&mut self) -> f64 {
-        StandardNormal.sample(&mut self.0)
-    }
-}
 
 /// A linear transducer at `stimuli` in their order, one reading a second where `timed`; further columns `a`, `b`, ...
 fn table(
@@ -59,10 +47,6 @@ fn run(data: &TransducerData, seed: u64) -> ScalarVerification {
         ..VerifyRequest::default()
     };
     verify_scalar("simulated", ScalarData::Transducer(data), Sealed::default(), &options).unwrap()
-}
-
-fn names(v: &ScalarVerification) -> Vec<&str> {
-    v.document.effects.iter().map(|e| e.id.as_str()).collect()
 }
 
 fn value<'a>(v: &'a ScalarVerification, name: &str) -> Option<&'a EffectParameter> {
@@ -105,13 +89,15 @@ fn a_name_that_rests_on_one_level_is_none() {
         let response = |_: usize, x: f64| 0.2 * x - 0.05 * (x - 7.4).max(0.0) + 0.01 * rng.next();
         run(&table(&loads, false, &[], response), seed)
     };
-    let told = |v: &ScalarVerification| v.document.alternatives.iter().any(|a| *a == ["saturation"]);
-    let alone = share(12, |seed| {
-        names(&knee(seed)) == ["saturation"] && knee(seed).document.verdict == Verdict::Effect
-    });
-    let among = share(12, |seed| told(&knee(seed)));
-    // Measured .75 and .92: in one of twelve another bend is before it beyond chance.
-    assert!(alone >= 0.7 && among >= 0.9, "{alone} {among}");
+    let knees: Vec<ScalarVerification> = (0..12).into_par_iter().map(knee).collect();
+    for v in &knees {
+        println!("{:?} {:?} {:?}", v.document.verdict, names(v), v.document.alternatives);
+    }
+    let named = |v: &&ScalarVerification| v.document.verdict == Verdict::Effect && names(v) == ["saturation"];
+    let among =
+        |v: &&ScalarVerification| v.document.alternatives.iter().any(|a| a.iter().any(|e| e == "saturation"));
+    let count = |of: &dyn Fn(&&ScalarVerification) -> bool| knees.iter().filter(|v| of(v)).count();
+    assert!(count(&named) >= 9 && count(&among) == 12, "{} {}", count(&named), count(&among));
 }
 
 #[test]

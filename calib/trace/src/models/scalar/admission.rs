@@ -176,22 +176,12 @@ pub(super) fn number(rows: &mut [ScalarRow]) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::row::bare;
     use super::*;
-    use wcal_core::observation::Role;
 
     fn rows(n: usize) -> Vec<ScalarRow> {
-        let row = |k: usize| ScalarRow {
-            origin: ("t.csv".into(), k + 2, k as i64),
-            role: Role::Calibration,
-            x: (k / 2 % 50) as f64,
-            y: 0.0,
-            t_s: None,
-            temperature_degc: None,
-            direction: Some(if k.is_multiple_of(2) { 1.0 } else { -1.0 }),
-            cycle: None,
-            covariates: Vec::new(),
-            place: None,
-        };
+        let direction = |k: usize| Some(if k.is_multiple_of(2) { 1.0 } else { -1.0 });
+        let row = |k: usize| ScalarRow { direction: direction(k), ..bare(k, (k / 2 % 50) as f64, 0.0) };
         (0..n).map(row).collect()
     }
 

@@ -56,8 +56,8 @@ impl LeftOut {
 
     /// The readings speak against it beside `best`, at the level `z`; `noise`: covariance of the errors.
     fn is_behind(&self, best: &Self, noise: &DMatrix<f64>, z: f64) -> bool {
-        let apart = DVector::from_fn(self.errors.len(), |i, _| self.errors[i] - best.errors[i]);
-        self.squares() - best.squares() > 2.0 * z * apart.dot(&(noise * &apart)).sqrt()
+        let difference = DVector::from_fn(self.errors.len(), |i, _| self.errors[i] - best.errors[i]);
+        self.squares() - best.squares() > 2.0 * z * difference.dot(&(noise * &difference)).sqrt()
     }
 }
 
@@ -91,19 +91,19 @@ fn slow_noise(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> Option<Noise>
 /// Takes the bends that stand in place of every bend that was found.
 fn take(system: &ScalarSystem, explained: &mut Explained, outcome: Outcome, options: &Options) {
     let found = &mut explained.found;
-    let Some(first) = outcome.standing.first().cloned() else { return };
+    let Some(first) = outcome.remaining.first().cloned() else { return };
     if !outcome.competed.contains(&keys(&found.best)) {
         return;
     }
-    let apart = |h: &&Hypothesis| !outcome.competed.contains(&keys(h));
-    let other: Vec<Hypothesis> = found.survivors.iter().filter(apart).cloned().collect();
+    let beside = |h: &&Hypothesis| !outcome.competed.contains(&keys(h));
+    let other: Vec<Hypothesis> = found.survivors.iter().filter(beside).cloned().collect();
     if keys(&first) != keys(&found.best) {
         found.last_test = omnibus_test(system, &first.fit, &first.weights, options);
         found.best = first;
     }
     found.refitted.retain(|h| !outcome.competed.contains(&keys(h)));
-    found.refitted.splice(0..0, outcome.standing.iter().cloned());
-    found.survivors = outcome.standing.into_iter().chain(other).collect();
+    found.refitted.splice(0..0, outcome.remaining.iter().cloned());
+    found.survivors = outcome.remaining.into_iter().chain(other).collect();
 }
 
 fn keys(h: &Hypothesis) -> Vec<usize> {
@@ -218,13 +218,13 @@ impl<'a> Contest<'a> {
             set.truncate(1);
         }
         let competed = all.into_iter().map(|(f, _)| keys(&self.hypothesis(f))).collect();
-        Outcome { standing: set, competed }
+        Outcome { remaining: set, competed }
     }
 }
 
 /// Bends that stand, the plainest first, and the effects of all that competed.
 struct Outcome {
-    standing: Vec<Hypothesis>,
+    remaining: Vec<Hypothesis>,
     competed: Vec<Vec<usize>>,
 }
 
@@ -239,7 +239,7 @@ fn beside_slow_noise(system: &ScalarSystem, explained: &mut Explained, noise: &N
         let beside = Contest::of(system, h, &noise_for_predictions(system, h, options.seed)?, false);
         Some(plain.is_behind(&contest.left_out(&h.fit.terms)?, &beside.noise, z(RIVAL)))
     };
-    let set = contest.outcome().standing;
+    let set = contest.outcome().remaining;
     let Some(first) = set.first().filter(|_| bent || set.iter().any(|h| better(h).unwrap_or(false))) else {
         return;
     };

@@ -18,14 +18,15 @@ pub struct RangeLimit {
     pub value: f64,
     /// Stimulus from which on it does, and the last one before.
     pub stimuli: [f64; 2],
-    /// Point numbers of the readings.
-    pub points: Vec<i64>,
+    /// Where the readings come from: file, line and point.
+    pub origins: Vec<(String, usize, i64)>,
 }
 
 impl RangeLimit {
     /// In a sentence; `unit` of the response.
     pub fn sentence(&self, unit: &str) -> String {
-        let points: Vec<String> = self.points.iter().map(ToString::to_string).collect();
+        let points: Vec<String> = self.origins.iter().map(|origin| origin.2.to_string()).collect();
+        let unit = if unit == "1" { "" } else { unit };
         let [from, last] = self.stimuli;
         format!(
             "{} readings (points {}) stand at a limit of the read-out, {}, from the stimulus {from} on: they are no measurement and in no fit; the \
@@ -92,28 +93,18 @@ fn at_end(
     (beyond && (full > 1 || repeats_scatter)).then(|| RangeLimit {
         value,
         stimuli: [mx[place(at - 1)], mx[near]],
-        points: censored.iter().map(|&i| rows[i].origin.2).collect(),
+        origins: censored.iter().map(|&i| rows[i].origin.clone()).collect(),
     })
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::row::bare;
     use super::*;
-    use wcal_core::observation::Role;
 
     fn rows(read: impl Fn(f64, usize) -> f64) -> Vec<ScalarRow> {
-        let row = |k: usize| ScalarRow {
-            origin: ("t.csv".into(), k + 2, k as i64),
-            role: Role::Calibration,
-            x: 10.0 * (k % 11) as f64,
-            y: read(10.0 * (k % 11) as f64, k),
-            t_s: None,
-            temperature_degc: None,
-            direction: None,
-            cycle: None,
-            covariates: Vec::new(),
-            place: None,
-        };
+        let x = |k: usize| 10.0 * (k % 11) as f64;
+        let row = |k: usize| bare(k, x(k), read(x(k), k));
         (0..33).map(row).collect()
     }
 
@@ -124,7 +115,7 @@ mod tests {
         let clipped = rows(|x, k| (0.15 + 0.1 * x + noise(k)).min(8.1921));
         let found = range_limits(&clipped, linear);
         assert_eq!(found.len(), 1);
-        assert_eq!((found[0].value, found[0].stimuli, found[0].points.len()), (8.1921, [90.0, 80.0], 6));
+        assert_eq!((found[0].value, found[0].stimuli, found[0].origins.len()), (8.1921, [90.0, 80.0], 6));
         let low = range_limits(&rows(|x, k| (0.1 * x - 2.5 + noise(k)).max(0.0)), linear);
         assert_eq!((low.len(), low[0].stimuli), (1, [20.0, 30.0]));
         // Only the last setting clips.

@@ -68,3 +68,20 @@ pub(super) fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
 pub(super) fn all<T: Copy>(rows: &[ScalarRow], f: impl Fn(&ScalarRow) -> Option<T>) -> Option<Vec<T>> {
     rows.iter().map(f).collect()
 }
+
+/// A reading with nothing but a place, a response and its number.
+#[cfg(test)]
+pub(super) fn bare(point: usize, x: f64, y: f64) -> ScalarRow {
+    ScalarRow {
+        origin: ("t.csv".into(), point + 2, point as i64),
+        role: Role::Calibration,
+        x,
+        y,
+        t_s: None,
+        temperature_degc: None,
+        direction: None,
+        cycle: None,
+        covariates: Vec::new(),
+        place: None,
+    }
+}

@@ -69,29 +69,14 @@ pub(super) fn wraps(rows: &[ScalarRow]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::row::bare;
     use super::*;
-    use wcal_core::observation::Role;
-
-    fn row((x, y): (f64, f64)) -> ScalarRow {
-        ScalarRow {
-            origin: ("t.csv".into(), 2, 0),
-            role: Role::Calibration,
-            x,
-            y,
-            t_s: None,
-            temperature_degc: None,
-            direction: None,
-            cycle: None,
-            covariates: Vec::new(),
-            place: None,
-        }
-    }
 
     /// Counts of `bits` bits over a turn in 40 places, from `zero` on.
     fn counts(bits: i32, zero: f64, noise: f64) -> Vec<ScalarRow> {
         let modulus = f64::from(bits).exp2();
         let count = |k: i32| (zero + modulus * f64::from(k) / 41.0 + noise * f64::from(k * 7 % 5)).round();
-        (0..40).map(|k| row((9.0 * f64::from(k), count(k).rem_euclid(modulus)))).collect()
+        (0..40).map(|k| bare(0, 9.0 * f64::from(k), count(k).rem_euclid(modulus))).collect()
     }
 
     #[test]

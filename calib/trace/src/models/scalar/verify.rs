@@ -79,7 +79,7 @@ pub fn verify_scalar(
     let (mut points, declared) = (data.rows(), data.declared());
     number(&mut points);
     let limits = range_limits(&points, declared);
-    points.retain(|r| !limits.iter().any(|l| l.points.contains(&r.origin.2)));
+    points.retain(|r| !limits.iter().any(|l| l.origins.contains(&r.origin)));
     let rows = thin(points.clone());
     let scaling = Scaling { count: points.len(), ..Scaling::of(&rows) }.with_unreliability(&rows, declared);
     let (stimulus, response) = data.units();

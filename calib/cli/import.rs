@@ -3,6 +3,7 @@
 mod arguments;
 mod columns;
 mod description;
+mod hints;
 mod imported;
 mod sweep;
 mod units;
@@ -12,6 +13,7 @@ use anyhow::Context;
 pub use arguments::ImportArgs;
 use arguments::{Kind, layout, name_of};
 use columns::Plan;
+pub(crate) use hints::option_of;
 pub use imported::ImportDocument;
 use imported::{Noticed, RESULT, refuse_other_tables, say};
 use std::process::ExitCode;
@@ -46,7 +48,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     let tables: Vec<&TextTable> = sources.iter().collect();
     refuse_other_tables(&out, &tables, &files.tables[0].1)?;
     let noticed = Noticed::of(&tables, plans.iter().map(|(plan, _)| plan));
-    let (text, more) = description::write(args, &tables, &plans[0].0.units, &noticed)?;
+    let (text, more) = description::write(args, &tables, &plans[0].0, &noticed)?;
     files.session_toml = text;
     let own = files.tables.len();
     files.tables.extend(more);

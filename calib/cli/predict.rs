@@ -80,7 +80,7 @@ pub fn run(args: &PredictArgs) -> anyhow::Result<ExitCode> {
     doubts.extend(stuck.iter().map(ToString::to_string));
     doubts.extend(applied.outside.map(|o| format!("{place}: {o}; marked in outside_valid_region")));
     for doubt in &doubts {
-        eprintln!("{}: {doubt}", if args.force { "warning" } else { "refused" });
+        eprintln!("{}: {doubt}", if args.force { "warning" } else { "written, but not to be trusted" });
     }
     if simulated {
         eprintln!("SIMULATED: the calibration or the readings are not measured");

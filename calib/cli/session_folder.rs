@@ -1,5 +1,6 @@
 //! The argument SESSION: a folder, not the table that may become one.
 
+use crate::import::option_of;
 use anyhow::{Context, Result, anyhow, bail};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -37,10 +38,11 @@ pub fn expect_session(session: &Path, command: &str) -> Result<()> {
     }
     let bytes = wcal_core::files::read(session).with_context(|| format!("reading {shown}"))?;
     let (text, _) = decoded(&bytes).map_err(|other| anyhow!("{shown}: {other}"))?;
-    let header = text.lines().next().unwrap_or_default();
+    let mut lines = text.lines();
+    let [header, first] = [(); 2].map(|()| lines.next().unwrap_or_default());
     bail!(
         "{shown}: expected a session folder, found a file; to make a session of a table use wcal import, e.g.\n  {}\n  wcal {command} {}",
-        import_line(session, header),
+        import_line(session, header, first),
         target(session)
     )
 }
@@ -51,11 +53,13 @@ fn target(table: &Path) -> String {
     if Path::new(&name).exists() { name + "-session" } else { name }
 }
 
-/// The command that imports a table with this header; what the header does not tell is left in capitals.
-fn import_line(table: &Path, header: &str) -> String {
+/// The command that imports a table with this header and first row; what they do not tell is left in capitals.
+fn import_line(table: &Path, header: &str, first: &str) -> String {
     let separator = ['\t', ';', ','].into_iter().max_by_key(|s| header.matches(*s).count()).unwrap_or(',');
     let cells: Vec<&str> = header.split(separator).map(str::trim).collect();
-    let headless = cells.iter().all(|c| c.replace(',', ".").parse::<f64>().is_ok());
+    let is_number = |cell: &&str| cell.replace(',', ".").parse::<f64>().is_ok();
+    let headless = cells.iter().all(|c| is_number(c));
+    let row: Vec<&str> = first.split(separator).map(str::trim).collect();
     let has = |name: &str| cells.contains(&name);
     let mut line = format!("wcal import {}", quoted(&table.display().to_string()));
     match separator {
@@ -63,20 +67,33 @@ fn import_line(table: &Path, header: &str) -> String {
         '\t' => line += " --separator tab",
         _ => {}
     }
+    if separator != ',' && row.iter().any(|cell| cell.contains(',') && is_number(cell)) {
+        line += " --decimal-comma";
+    }
     if has("commanded_mm") && has("measured_mm") {
         line += " --kind axis --commanded commanded_mm --measured measured_mm";
     } else if cells.iter().any(|c| c.starts_with("fbg_1_")) {
         line += " --kind whisker --model WHISKER.toml";
     } else {
-        let mut values = cells.iter().filter(|c| !headless && !c.is_empty() && !BESIDE.contains(c));
+        let measures = |k: usize| {
+            let name = cells[k];
+            let beside = name.is_empty() || BESIDE.contains(&name) || option_of(name).is_some();
+            !headless && !beside && row.get(k).is_none_or(is_number)
+        };
+        let mut values = (0..cells.len()).filter(|k| measures(*k)).map(|k| cells[k]);
         let mut column = |own: &str, unknown: &str| {
-            if has(own) { own.to_owned() } else { quoted(values.next().map_or(unknown, |c| *c)) }
+            if has(own) { own.to_owned() } else { quoted(values.next().unwrap_or(unknown)) }
         };
         if headless {
             line += " --columns STIMULUS,RESPONSE";
         }
         let (stimulus, response) = (column("stimulus", "STIMULUS"), column("response", "RESPONSE"));
-        let _ = write!(line, " --kind transducer --stimulus {stimulus} --response {response} --model linear");
+        let _ = write!(line, " --kind transducer --stimulus {stimulus} --response {response}");
+        for name in cells.iter().filter(|name| !headless && !BESIDE.contains(name)) {
+            let taken = option_of(name).filter(|option| !line.contains(option));
+            line += &taken.map_or_else(String::new, |option| format!(" {option} {}", quoted(name)));
+        }
+        line += " --model linear";
     }
     format!("{line} --out {}", quoted(&target(table)))
 }

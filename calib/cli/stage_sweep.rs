@@ -1,7 +1,7 @@
 //! `wcal stage-sweep`: drives the stage, records all streams, reduces to points.
 
 use crate::{interrupt, reduce};
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result, anyhow, ensure};
 use clap::Args;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -127,6 +127,10 @@ fn created() -> String {
 
 /// Puts the addresses of a virtual bench into a rig.
 pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
+    ensure!(
+        !addresses.trim().is_empty(),
+        "the file is empty: `wcal virtual-bench` is still starting, or it failed"
+    );
     let addresses = wcal_core::document::json(addresses)?;
     let text = |pointer: &str| {
         let value = addresses.pointer(pointer).and_then(serde_json::Value::as_str);

@@ -12,6 +12,7 @@ use crate::session_folder::expect_session;
 use crate::simulated::{is_simulated, mark_table};
 use anyhow::{Context, bail};
 use clap::Args;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use text::{predictions_csv, scalar_csv};
@@ -30,7 +31,7 @@ use wcal_core::{Provenance, SealedRows, SessionData, VerificationStatus, Whisker
 use wcal_report::ReportInput;
 use wcal_session::{LoadedSession, SessionError, SessionLedger, add_session, attach_holdout, load};
 use wcal_trace::method::options::{Options, ProgressListener};
-use wcal_trace::scalar::{ScalarData, verify_scalar};
+use wcal_trace::scalar::{ScalarData, ScalarModel, verify_scalar};
 use wcal_trace::verify::{VerifyRequest, Witness};
 use wcal_trace::whisker::physical::PhysicalModel;
 use wcal_trace::whisker::{Verified, WhiskerSystem, WhiskerVerification, verify_whisker};
@@ -255,7 +256,7 @@ pub fn verify_session(
             of_whisker_session(session, data, sealed, &request, (given, &witnesses), made)?
         }
         _ if sweep.is_some() => {
-            bail!("--sweep: expected a session of kind whisker, found {:?}", session.data.kind())
+            bail!("--sweep: expected a session of kind whisker, found {}", session.data.kind())
         }
         SessionData::Transducer(data) => {
             of_scalar_session(session, ScalarData::Transducer(data), sealed, &request, given, made)?
@@ -380,10 +381,19 @@ fn of_scalar_session(
             (Some(g), Some(whole)) => Some(g.judge(SessionSystem::Scalar(whole), request.search.seed)?),
             _ => None,
         },
-        model: done.model.clone().map(CalibrationModel::Scalar),
+        model: done.model.clone().map(|model| {
+            CalibrationModel::Scalar(ScalarModel { columns: imported_columns(session), ..model })
+        }),
         contact: None,
         report: of_scalar(session, (data, count), &done, provenance),
     })
+}
+
+/// Columns of the table that a session was imported from, by their names in it.
+fn imported_columns(session: &LoadedSession) -> BTreeMap<String, String> {
+    let columns = session.meta.get("provenance").and_then(|p| p.get("columns")?.as_table());
+    let text = |(name, column): (&String, &toml::Value)| Some((name.clone(), column.as_str()?.to_owned()));
+    columns.into_iter().flatten().filter_map(text).collect()
 }
 
 fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool) {

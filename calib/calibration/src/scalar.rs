@@ -2,39 +2,60 @@
 
 use crate::apply::{AppliedTable, Calibration, SessionSystem, WhiskerCalibration};
 use crate::error::CalibrationError;
+use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_core::observation::Role;
 use wcal_session::{TextTable, TextTableLayout, read_text_table};
 use wcal_trace::scalar::{ScalarModel, ScalarRow, judgement};
 use wcal_trace::verify::judgement::JudgedReading;
 
-/// A column of numbers; none where the table has no such column.
-fn column(table: &TextTable, name: &str, required: bool) -> Result<Option<Vec<f64>>, CalibrationError> {
-    let Some(index) = table.columns.iter().position(|c| c == name) else {
-        if required {
-            table.column(name)?;
-        }
-        return Ok(None);
-    };
-    let mut values = Vec::with_capacity(table.rows.len());
-    for row in 0..table.rows.len() {
-        match table.number(row, index)? {
-            Some(v) => values.push(v),
-            None => {
-                let line = table.rows[row].0;
-                let detail =
-                    format!("line {line}: field {name}: expected a number in every row, found nothing");
-                return Err(CalibrationError::content(Path::new(&table.file), detail));
-            }
-        }
-    }
-    Ok(Some(values))
+/// A table's columns by the session's names; a table that has none of such a name may have the column that the session's table was made of.
+struct Columns<'a> {
+    table: &'a TextTable,
+    own: &'a BTreeMap<String, String>,
 }
 
-/// Numbers of a column that may have gaps; none where the table has no such column.
-fn gappy_column(table: &TextTable, name: &str) -> Result<Option<Vec<Option<f64>>>, CalibrationError> {
-    let Some(index) = table.columns.iter().position(|c| c == name) else { return Ok(None) };
-    Ok(Some((0..table.rows.len()).map(|row| table.number(row, index)).collect::<Result<_, _>>()?))
+impl Columns<'_> {
+    /// Place of a column, and the factor that its cells are multiplied by.
+    fn place(&self, name: &str) -> Option<(usize, f64)> {
+        let place = |name: &str| self.table.columns_named(name).first().copied();
+        let own = || {
+            let text = self.own.get(name)?;
+            let factor = text.rsplit_once('*').filter(|_| place(text).is_none());
+            let (column, factor) = factor.map_or((text.as_str(), Some(1.0)), |(c, f)| (c, f.parse().ok()));
+            place(column).zip(factor)
+        };
+        self.table.columns.iter().position(|c| c == name).map(|index| (index, 1.0)).or_else(own)
+    }
+
+    /// Numbers of a column that may have gaps; none where the table has no such column.
+    fn gappy(&self, name: &str) -> Result<Option<Vec<Option<f64>>>, CalibrationError> {
+        let Some((index, factor)) = self.place(name) else { return Ok(None) };
+        let cell = |row: usize| match name {
+            "direction" => self.table.direction(row, index),
+            _ => self.table.number(row, index),
+        };
+        let value = |row: usize| Ok(cell(row)?.map(|v| v * factor));
+        (0..self.table.rows.len()).map(value).collect::<Result<Vec<_>, _>>().map(Some)
+    }
+
+    /// A column of numbers without gaps; none where the table has no such column.
+    fn numbers(&self, name: &str, required: bool) -> Result<Option<Vec<f64>>, CalibrationError> {
+        let Some(values) = self.gappy(name)? else {
+            if required {
+                let own = self.own.get(name).map(String::as_str);
+                self.table.column(own.unwrap_or(name))?;
+            }
+            return Ok(None);
+        };
+        let whole: Option<Vec<f64>> = values.iter().copied().collect();
+        whole.map(Some).ok_or_else(|| {
+            let gap = values.iter().position(Option::is_none).unwrap_or_default();
+            let line = self.table.rows[gap].0;
+            let detail = format!("line {line}: field {name}: expected a number in every row, found nothing");
+            CalibrationError::content(Path::new(&self.table.file), detail)
+        })
+    }
 }
 
 impl Calibration for ScalarModel {
@@ -51,25 +72,29 @@ impl Calibration for ScalarModel {
     }
 
     fn apply(&self, table: &Path) -> Result<AppliedTable, CalibrationError> {
-        let table = read_text_table(table, &TextTableLayout::default())?;
+        // A table of the form that the session was imported from is read as it was then.
+        let own = self.columns.iter().flat_map(|(name, own)| [name, own]).cloned();
+        let asked = (!self.columns.is_empty()).then(|| own.collect());
+        let table = read_text_table(table, &TextTableLayout { asked, ..TextTableLayout::default() })?;
         let axis = self.session_kind == "axis";
-        let stimulus = column(&table, if axis { "commanded_mm" } else { "stimulus" }, axis)?;
+        let columns = Columns { table: &table, own: &self.columns };
+        let stimulus = columns.numbers(if axis { "commanded_mm" } else { "stimulus" }, axis)?;
         let inverse = stimulus.is_none();
-        let response = if inverse { column(&table, "response", true)? } else { None };
+        let response = if inverse { columns.numbers("response", true)? } else { None };
         // What was measured at the places that are predicted is written next to the prediction.
         let measured = match (inverse, axis) {
             (true, _) => None,
-            (false, true) => gappy_column(&table, "measured_mm")?,
-            (false, false) => gappy_column(&table, "response")?,
+            (false, true) => columns.gappy("measured_mm")?,
+            (false, false) => columns.gappy("response")?,
         };
         let [t_s, temperature, direction, cycle, point] =
             ["t_s", "temperature_degc", "direction", "cycle", "point"]
-                .map(|name| column(&table, name, false));
+                .map(|name| columns.numbers(name, false));
         let (t_s, temperature, direction, cycle, point) = (t_s?, temperature?, direction?, cycle?, point?);
         let needed = self.effects.iter().any(|e| e.id == "cross-axis");
         let mut covariates = Vec::new();
         for name in &self.covariates {
-            covariates.push(column(&table, name, needed)?);
+            covariates.push(columns.numbers(name, needed)?);
         }
         let middle = 0.5 * (self.stimulus_range[0] + self.stimulus_range[1]);
         let rows: Vec<ScalarRow> = (0..table.rows.len())

@@ -4,7 +4,7 @@ use super::arguments::{Declared, ImportArgs, Kind, split_factor};
 use super::units;
 use anyhow::{Context, bail, ensure};
 use wcal_core::TransducerModel;
-use wcal_session::{TextTable, WHISKER_COLUMNS, named};
+use wcal_session::{IN_SESSION, TextTable, WHISKER_COLUMNS, named};
 
 /// Columns of the other kinds that are taken along wherever a table has them under these names.
 const SCALAR_COLUMNS: &[&str] = &["t_s", "direction", "temperature_degc", "replicate", "cycle"];
@@ -122,6 +122,19 @@ impl Plan {
         Some(table.columns[source.index()?].clone())
     }
 
+    /// Columns of the session that have another name in the foreign table, or a factor: by their names in the session.
+    pub(super) fn renamed(&self, table: &TextTable) -> toml::Table {
+        let text = |(name, source): &(String, Source)| match source {
+            Source::Column { index, factor } => {
+                let column = &table.columns[*index];
+                let text = if *factor == 1.0 { column.clone() } else { format!("{column}*{factor}") };
+                (text != *name).then(|| (name.clone(), text.into()))
+            }
+            _ => None,
+        };
+        self.columns.iter().filter_map(text).collect()
+    }
+
     /// Columns of the foreign table that the session does not have, in their order.
     pub(super) fn left_out(&self, table: &TextTable) -> Vec<String> {
         let taken = |k: usize| {
@@ -159,6 +172,15 @@ impl Plan {
                 "--stimulus is missing: expected the column of the stimulus (only --model constant does without)"
             );
             columns.push(("stimulus".to_owned(), Source::Order));
+        }
+        if args.kind == Kind::Whisker {
+            let has = |name: &str| {
+                wanted.iter().any(|(own, _)| own == name) || columns.iter().any(|(own, _)| own == name)
+            };
+            let missing: Vec<&str> = IN_SESSION.into_iter().filter(|name| !has(name)).collect();
+            if !missing.is_empty() {
+                return Err(table.without(&missing).hint("--covariate NAME=COLUMN takes each").into());
+            }
         }
         let mut plan = Self { columns, units: Default::default(), remarks: Vec::new(), warnings: Vec::new() };
         let commanded = wanted.iter().find(|(name, _)| name == "commanded_mm");

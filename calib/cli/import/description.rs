@@ -1,6 +1,7 @@
 //! `session.toml` of an imported session.
 
 use super::arguments::{Declared, ImportArgs, Kind, name_of};
+use super::columns::Plan;
 use super::imported::Noticed;
 use crate::simulated::is_simulated;
 use anyhow::{Context, bail, ensure};
@@ -37,7 +38,7 @@ pub(super) fn header(args: &ImportArgs, kind: &str, files: &[(&str, &str)]) -> a
 pub(super) fn write(
     args: &ImportArgs,
     sources: &[&TextTable],
-    units: &[String; 2],
+    plan: &Plan,
     noticed: &Noticed,
 ) -> anyhow::Result<(String, Tables)> {
     let mut more = Vec::new();
@@ -55,11 +56,15 @@ pub(super) fn write(
         take_over(file, &mut top, &mut more)?;
     }
     if args.kind == Kind::Transducer {
-        top.insert("transducer".to_owned(), Value::Table(transducer(args, units)));
+        top.insert("transducer".to_owned(), Value::Table(transducer(args, &plan.units)));
     }
     // A table out of a simulated session stays simulated.
     let simulated = whisker.into_iter().chain([&args.file]).any(|path| is_simulated(path));
-    top.insert("provenance".to_owned(), Value::Table(provenance(sources, simulated, noticed)));
+    let mut provenance = provenance(sources, simulated, noticed);
+    // A later table of the same instrument has the same columns.
+    let renamed = plan.renamed(sources[0]);
+    provenance.extend((!renamed.is_empty()).then(|| ("columns".to_owned(), Value::Table(renamed))));
+    top.insert("provenance".to_owned(), Value::Table(provenance));
     Ok((toml::to_string(&top)?, more))
 }
 

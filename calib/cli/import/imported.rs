@@ -2,6 +2,7 @@
 
 use super::arguments::ImportArgs;
 use super::columns::{Plan, WAY_IN};
+use super::hints::option_of;
 use super::units::is_uncertainty;
 use crate::output::{OutputFolder, ResultKind, first_line};
 use crate::simulated::word;
@@ -119,7 +120,12 @@ pub(super) fn say(
         .partition(|name| sources.iter().any(|table| is_uncertainty(name, &table.columns)));
     if !others.is_empty() {
         let way_in = if kind == "sweep" { "" } else { WAY_IN };
-        eprintln!("columns not imported: {}{way_in}", others.join(", "));
+        let shown = |name: &&str| {
+            let option = option_of(name).filter(|_| kind != "sweep");
+            option.map_or((*name).to_owned(), |option| format!("{name} ({option} {name})"))
+        };
+        let shown: Vec<String> = others.iter().map(shown).collect();
+        eprintln!("columns not imported: {}{way_in}", shown.join(", "));
     }
     for name in uncertain {
         eprintln!(

@@ -134,7 +134,17 @@ pub(super) fn signal(
     let index = table.column(name)?;
     let (file, name) = (&table.file, &table.columns[index]);
     let known = |unit: &&str| relation(unit, "s") != Relation::Unknown;
-    let Some(found) = below(table, index).or_else(|| bracketed(name).filter(known)) else { return Ok(taken) };
+    let Some(found) = below(table, index).or_else(|| bracketed(name).filter(known)) else {
+        if stated.is_none() {
+            // A last word that is a unit may be one: `load_N`.
+            let last = name.rsplit(['_', ' ']).next().filter(|word| *word != name.as_str()).filter(known);
+            let unit = last.unwrap_or("UNIT");
+            remarks.push(format!(
+                "{file}: no unit of {name} is stated, taken as 1 ({option}-unit {unit} states it)"
+            ));
+        }
+        return Ok(taken);
+    };
     let Some(stated) = stated else {
         remarks.push(format!("{file}: {name} is in {found}, as the table says"));
         return Ok(found.to_owned());

@@ -65,8 +65,12 @@ pub fn load_session(args: &TrackArgs, folder: &Path) -> Result<TrackedFolder> {
         );
     }
     let session = wcal_session::load(folder)?;
+    let kind = session.data.kind();
     let SessionData::Whisker(data) = session.data else {
-        bail!("{}: expected a whisker session, found another kind", folder.display());
+        bail!(
+            "{}: expected a session of kind whisker, found {kind}; wcal predict applies its calibration",
+            folder.display()
+        );
     };
     let whisker = data.whisker.clone();
     Ok(TrackedFolder { data, simulated: session.simulated, whisker })

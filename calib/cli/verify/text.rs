@@ -100,9 +100,9 @@ pub fn print_text(report: &ReportInput, out: &Path) {
             })
             .collect();
         println!(
-            "  {} (p = {:.1e}, class {}): {}",
+            "  {} ({}, class {}): {}",
             e.id,
-            e.p_value,
+            chance(e.p_value),
             e.class.join("/"),
             parameters.join(", ")
         );
@@ -124,7 +124,8 @@ pub fn print_text(report: &ReportInput, out: &Path) {
         }
     }
     if v.holdout.outcome != HoldoutOutcome::Absent {
-        let p = v.holdout.p.map_or_else(String::new, |p| format!(" (p = {p:.1e}, look {})", v.holdout.look));
+        let p =
+            v.holdout.p.map_or_else(String::new, |p| format!(" ({}, look {})", chance(p), v.holdout.look));
         println!("  {}{p}", v.holdout.why);
     }
     let n = &v.noise_floor;
@@ -142,7 +143,7 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     for t in v.tests.iter().filter(|t| t.witness != "pictures") {
         let name = if t.effects.is_empty() { "declared model".to_owned() } else { t.effects.join(" with ") };
         let refuted = if t.refuted { " REFUTED" } else { "" };
-        println!("  {}: {name:<44} {:.2} {}, p = {:.1e}{refuted}", t.witness, t.magnitude, t.unit, t.p);
+        println!("  {}: {name:<44} {:.2} {}, {}{refuted}", t.witness, t.magnitude, t.unit, chance(t.p));
     }
     if let Some(c) = &v.calibration {
         let verdict = if c.holds { "holds" } else { "does NOT hold" };
@@ -151,7 +152,7 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     if let Some(n) = &v.next_measurement {
         println!("  next: {} (expected power {:.2})", n.instruction, n.expected_power);
     }
-    println!("  written to {}", out.display());
+    println!("  written to {}; page {}", out.display(), out.join("report.html").display());
 }
 
 /// What it is all for, in one line.
@@ -166,6 +167,15 @@ fn contact_line(c: &ContactComparison) -> String {
 /// A name or number with its unit; "1" is no unit.
 fn named(what: &str, unit: &str) -> String {
     if matches!(unit, "" | "1") { what.to_owned() } else { format!("{what} {unit}") }
+}
+
+/// A p-value; the model of the noise says nothing of chances below a billionth.
+fn chance(p: f64) -> String {
+    match p {
+        p if p < 1e-9 => "p < 1e-9".to_owned(),
+        p if p < 0.01 => format!("p = {p:.1e}"),
+        p => format!("p = {p:.2}"),
+    }
 }
 
 /// Four decimals, or an exponent where these would hide the number.

@@ -19,6 +19,16 @@ pub enum SessionKind {
     Axis,
 }
 
+impl std::fmt::Display for SessionKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Whisker => "whisker",
+            Self::Transducer => "transducer",
+            Self::Axis => "axis",
+        })
+    }
+}
+
 /// What a reading may be used for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]

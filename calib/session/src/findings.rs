@@ -34,6 +34,10 @@ pub struct Finding {
 /// A quantity, whether it is there, and the effects that need it.
 type Quantity = (&'static str, bool, &'static str);
 
+/// Directions follow from rows in the order in which they were taken.
+const BY_ORDER: &str =
+    "where the order of the rows does not show rising and falling values, hysteresis and backlash";
+
 /// What the checks ask of a row: readings of one pose ought to agree but for noise.
 struct Seen {
     role: Role,
@@ -67,7 +71,7 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
             let pose = |r: &TransducerRow| Seen::new(r.role, &[r.stimulus, r.direction.unwrap_or(0.0)]);
             let columns = vec![
                 ("t_s", rows.iter().any(|r| r.t_s.is_some()), "drift, creep, lag and step in time"),
-                ("direction", rows.iter().any(|r| r.direction.is_some()), "hysteresis, backlash"),
+                ("direction", rows.iter().any(|r| r.direction.is_some()), BY_ORDER),
                 ("temperature_degc", rows.iter().any(|r| r.temperature_degc.is_some()), "temperature"),
                 ("a further covariate", !data.covariates.is_empty(), "cross-axis"),
             ];
@@ -78,7 +82,7 @@ pub fn examine(session: &LoadedSession) -> Vec<Finding> {
             let pose = |r: &AxisRow| Seen::new(r.role, &[r.commanded_mm, r.direction.unwrap_or(0.0)]);
             let columns = vec![
                 ("t_s", rows.iter().any(|r| r.t_s.is_some()), "drift, creep, lag and step in time"),
-                ("direction", rows.iter().any(|r| r.direction.is_some()), "backlash, hysteresis"),
+                ("direction", rows.iter().any(|r| r.direction.is_some()), BY_ORDER),
                 ("cycle", rows.iter().any(|r| r.cycle.is_some()), "changes from stroke to stroke"),
                 ("temperature_degc", rows.iter().any(|r| r.temperature_degc.is_some()), "temperature"),
             ];

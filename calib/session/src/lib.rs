@@ -41,6 +41,6 @@ pub use separated::Separator;
 pub use session::{LoadedSession, SESSION_FORMAT, load};
 pub use table::{SIMULATED_COLUMN, TextTable, TextTableLayout, read_text_table};
 pub use warning::{SessionWarning, WarningKind, named};
-pub use whisker::{ReadingTable, WHISKER_COLUMNS, load_table};
+pub use whisker::{IN_SESSION, ReadingTable, WHISKER_COLUMNS, load_table};
 pub use whisker_meta::check_wire;
 pub use write::{SessionFiles, write_session};

@@ -227,9 +227,10 @@ impl TextTable {
                 let hint = format!("convert the values to {unit} and rename the column");
                 return Err(error.at(1).field(*name).hint(hint));
             }
-            if required.contains(name) {
-                return Err(self.no_column(name).at(1));
-            }
+        }
+        let missing: Vec<&str> = required.iter().copied().filter(|name| self.place(name).is_none()).collect();
+        if !missing.is_empty() {
+            return Err(self.without(&missing));
         }
         let is_known = |c: &&String| !required.iter().chain(known).chain([&SIMULATED_COLUMN]).any(|n| n == c);
         Ok(self.columns.iter().filter(is_known).cloned().collect())
@@ -249,7 +250,7 @@ impl TextTable {
     /// Where there is no such column (the message lists those that there are), or several that differ.
     pub fn column(&self, name: &str) -> Result<usize, InputError> {
         let own = self.columns_named(name);
-        let first = *own.first().ok_or_else(|| self.no_column(name))?;
+        let first = *own.first().ok_or_else(|| self.without(&[name]))?;
         let other = |k: usize| self.rows.iter().find(|(_, cells)| cells[k] != cells[first]);
         if let Some((k, (line, _))) = own.iter().skip(1).find_map(|&k| Some((k, other(k)?))) {
             let found = format!("columns {} and {} of that name, which differ", first + 1, k + 1);
@@ -260,9 +261,13 @@ impl TextTable {
         Ok(first)
     }
 
-    fn no_column(&self, name: &str) -> InputError {
+    /// The error of columns that are wanted and not there, all at once.
+    pub fn without(&self, names: &[&str]) -> InputError {
         let found = format!("the columns {}", listed(&self.columns));
-        let error = InputError::new(&self.file, format!("a column {name}"), found).field(name);
+        let [name] = names else {
+            return InputError::new(&self.file, format!("columns {}", names.join(", ")), found);
+        };
+        let error = InputError::new(&self.file, format!("a column {name}"), found).field(*name);
         let alike = |c: &&String| strsim::normalized_levenshtein(&c.to_lowercase(), &name.to_lowercase());
         let nearest = self.columns.iter().max_by(|a, b| alike(a).total_cmp(&alike(b)));
         match (&self.hint, nearest.filter(|c| alike(c) >= ALIKE)) {

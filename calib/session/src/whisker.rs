@@ -75,7 +75,8 @@ pub const WHISKER_COLUMNS: [&str; 23] = [
 ];
 
 /// Columns that every session has.
-const IN_SESSION: [&str; 6] = ["point", "role", "trajectory", "groove_x_mm", "groove_y_mm", "groove_z_mm"];
+pub const IN_SESSION: [&str; 6] =
+    ["point", "role", "trajectory", "groove_x_mm", "groove_y_mm", "groove_z_mm"];
 /// Those of the gratings and of the strain-isolated one, as shifts from nominal and as wavelengths.
 const SHIFTS: [&str; 3] = ["fbg_1_shift_nm", "fbg_2_shift_nm", "fbg_ref_shift_nm"];
 const WAVELENGTHS: [&str; 3] = ["fbg_1_nm", "fbg_2_nm", "fbg_ref_nm"];

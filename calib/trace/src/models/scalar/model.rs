@@ -13,6 +13,7 @@ use crate::method::noise::spread::{Spread, SpreadLaw};
 use nalgebra::DMatrix;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use wcal_core::observation::Role;
 
 /// An accepted effect with its fitted values (units of the catalogue: half ranges, durations, cycles).
@@ -52,6 +53,9 @@ pub struct ScalarModel {
     pub response_unit: String,
     /// Names of further covariates.
     pub covariates: Vec<String>,
+    /// Columns of the table that the session was imported from, by their names in the session; `COLUMN*FACTOR` where a factor applies.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub columns: BTreeMap<String, String>,
     /// Declared model: `{"polynomial": degree}` or `"axis"`.
     pub declared: Declared,
     /// Normalisation of the covariates.
@@ -214,6 +218,7 @@ impl ScalarModel {
             stimulus_unit: names.stimulus.clone(),
             response_unit: names.response.clone(),
             covariates: names.covariates.clone(),
+            columns: BTreeMap::new(),
             declared: frame.declared,
             scaling: s.clone(),
             effects: fitted

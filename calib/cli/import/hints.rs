@@ -1,0 +1,19 @@
+//! Which option of `wcal import` takes a column, as its name tells.
+
+/// Words of a column's name, in lower case, and the option that takes such a column.
+const WORDS: [(&str, &[&str]); 4] = [
+    ("--direction", &["dir", "direction", "richtung", "sense", "updown"]),
+    (
+        "--replicate",
+        &["cycle", "zyklus", "run", "series", "serie", "rep", "repeat", "replicate", "repetition"],
+    ),
+    ("--temperature", &["temp", "temperature", "temperatur", "degc"]),
+    ("--time", &["time", "t", "zeit", "date", "datum", "timestamp", "clock", "elapsed", "seconds"]),
+];
+
+/// The option that takes a column of this name; none where the name does not tell.
+pub(crate) fn option_of(name: &str) -> Option<&'static str> {
+    let name = name.to_lowercase();
+    let words: Vec<&str> = name.split(|c: char| !c.is_alphanumeric()).collect();
+    WORDS.iter().find(|(_, of)| words.iter().any(|word| of.contains(word))).map(|(option, _)| *option)
+}

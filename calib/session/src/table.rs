@@ -230,7 +230,7 @@ impl TextTable {
         }
         let missing: Vec<&str> = required.iter().copied().filter(|name| self.place(name).is_none()).collect();
         if !missing.is_empty() {
-            return Err(self.without(&missing));
+            return Err(self.without(&missing).at(1));
         }
         let is_known = |c: &&String| !required.iter().chain(known).chain([&SIMULATED_COLUMN]).any(|n| n == c);
         Ok(self.columns.iter().filter(is_known).cloned().collect())
@@ -264,10 +264,13 @@ impl TextTable {
     /// The error of columns that are wanted and not there, all at once.
     pub fn without(&self, names: &[&str]) -> InputError {
         let found = format!("the columns {}", listed(&self.columns));
-        let [name] = names else {
-            return InputError::new(&self.file, format!("columns {}", names.join(", ")), found);
+        let expected = if let [name] = names {
+            format!("a column {name}")
+        } else {
+            format!("columns {}", names.join(", "))
         };
-        let error = InputError::new(&self.file, format!("a column {name}"), found).field(*name);
+        let error = InputError::new(&self.file, expected, found).field(names.join(", "));
+        let name = names.first().copied().unwrap_or_default();
         let alike = |c: &&String| strsim::normalized_levenshtein(&c.to_lowercase(), &name.to_lowercase());
         let nearest = self.columns.iter().max_by(|a, b| alike(a).total_cmp(&alike(b)));
         match (&self.hint, nearest.filter(|c| alike(c) >= ALIKE)) {

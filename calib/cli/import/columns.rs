@@ -1,6 +1,7 @@
 //! Column mapping: cells of the foreign table under the session's names.
 
 use super::arguments::{Declared, ImportArgs, Kind, split_factor};
+use super::hints::is_deviation;
 use super::units;
 use anyhow::{Context, bail, ensure};
 use wcal_core::TransducerModel;
@@ -195,7 +196,7 @@ impl Plan {
             let of_the_kind = ["point", "role", "stimulus", "response"];
             let covariate = args.kind == Kind::Transducer
                 && !SCALAR_COLUMNS.iter().chain(&of_the_kind).any(|n| *n == name);
-            if covariate && units::is_uncertainty(&column, &table.columns) {
+            if covariate && units::is_uncertainty(&column) {
                 let text = "looks like an uncertainty: as a covariate it counts as a cause";
                 plan.warnings.push(format!("{}: {column} {text}", table.file));
             }
@@ -223,6 +224,10 @@ impl Plan {
             units::signal((option, unit.as_deref()), column.as_deref(), table, &mut plan.remarks)
         });
         plan.units = [stimulus?, response?];
+        if let Some(column) = args.response.as_deref().filter(|name| is_deviation(name)) {
+            let said = "taken as a deviation of the stimulus, by its name: it needs no slope";
+            plan.remarks.push(format!("{}: {column} is {said}", table.file));
+        }
         // A commanded position is looked up twice.
         plan.remarks.sort();
         plan.remarks.dedup();

@@ -2,6 +2,7 @@
 
 use super::arguments::{Declared, ImportArgs, Kind, name_of};
 use super::columns::Plan;
+use super::hints::is_deviation;
 use super::imported::Noticed;
 use crate::simulated::is_simulated;
 use anyhow::{Context, bail, ensure};
@@ -94,10 +95,12 @@ fn transducer(args: &ImportArgs, [stimulus_unit, response_unit]: &[String; 2]) -
         TransducerModel::Linear => "linear",
         TransducerModel::Quadratic => "quadratic",
     };
-    [("stimulus_unit", stimulus_unit), ("response_unit", response_unit), ("model", model)]
-        .into_iter()
-        .map(|(key, value)| (key.to_owned(), Value::from(value)))
-        .collect()
+    let text = [("stimulus_unit", stimulus_unit), ("response_unit", response_unit), ("model", model)];
+    let mut table: Table =
+        text.into_iter().map(|(key, value)| (key.to_owned(), Value::from(value))).collect();
+    let deviation = args.response.as_deref().is_some_and(is_deviation);
+    table.extend(deviation.then(|| ("deviation".to_owned(), Value::from(true))));
+    table
 }
 
 pub(super) fn provenance(sources: &[&TextTable], simulated: bool, noticed: &Noticed) -> Table {

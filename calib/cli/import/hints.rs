@@ -11,6 +11,27 @@ const WORDS: [(&str, &[&str]); 4] = [
     ("--time", &["time", "t", "zeit", "date", "datum", "timestamp", "clock", "elapsed", "seconds"]),
 ];
 
+/// Words of a column that holds corrections, deviations or errors of another quantity.
+const DEVIATIONS: [&str; 11] = [
+    "correction",
+    "corr",
+    "deviation",
+    "dev",
+    "error",
+    "err",
+    "difference",
+    "delta",
+    "korrektur",
+    "abweichung",
+    "fehler",
+];
+
+/// Whether a column's name says that it is a deviation of the stimulus.
+pub(super) fn is_deviation(name: &str) -> bool {
+    let name = name.to_lowercase();
+    name.split(|c: char| !c.is_alphanumeric()).any(|word| DEVIATIONS.contains(&word))
+}
+
 /// The option that takes a column of this name; none where the name does not tell.
 pub(crate) fn option_of(name: &str) -> Option<&'static str> {
     let name = name.to_lowercase();

@@ -114,10 +114,8 @@ pub(super) fn say(
     for (source, encoding) in sources.iter().filter_map(|s| Some((s, s.encoding?))) {
         eprintln!("{}: read as {encoding}", source.file);
     }
-    let (uncertain, others): (Vec<&str>, Vec<&str>) = columns_left_out
-        .iter()
-        .map(String::as_str)
-        .partition(|name| sources.iter().any(|table| is_uncertainty(name, &table.columns)));
+    let (uncertain, others): (Vec<&str>, Vec<&str>) =
+        columns_left_out.iter().map(String::as_str).partition(|name| is_uncertainty(name));
     if !others.is_empty() {
         let way_in = if kind == "sweep" { "" } else { WAY_IN };
         let shown = |name: &&str| {

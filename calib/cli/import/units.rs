@@ -164,14 +164,18 @@ pub(super) fn signal(
     }
 }
 
-/// Whether a column's name says that it holds uncertainties, of `columns` that stand beside it: `u_load` beside `load`, `sd`, `std_dev`, `Unsicherheit`. A
-/// voltage may be called `u_mv`.
-pub(super) fn is_uncertainty(name: &str, columns: &[String]) -> bool {
+/// Whether a column's name says that it holds uncertainties: `u_load`, `U95_ref`, `u(m)`, `sd`, `std_dev`, `Unsicherheit`. A voltage may be called `u_mv`.
+pub(super) fn is_uncertainty(name: &str) -> bool {
     let name = name.to_lowercase();
-    let word = |w: &str| matches!(w, "sd" | "std" | "stdev" | "stddev" | "sigma" | "unc" | "stderr" | "se");
-    let parts = |c: char| !c.is_alphanumeric();
-    let of = |column: &String| name.strip_prefix("u_").is_some_and(|of| of == column.to_lowercase());
+    let words: Vec<&str> =
+        name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).collect();
+    let word = |w: &&str| matches!(*w, "sd" | "std" | "stdev" | "stddev" | "sigma" | "unc" | "stderr" | "se");
+    let volts = |w: &&str| matches!(*w, "v" | "mv" | "uv" | "kv" | "volt" | "volts");
+    let of_a_quantity = match words[..] {
+        ["u" | "u95", .., last] => !volts(&last),
+        _ => false,
+    };
     ["uncert", "unsicher", "std_dev", "standard deviation", "standardabw"].iter().any(|w| name.contains(w))
-        || name.split(parts).any(word)
-        || columns.iter().any(of)
+        || words.iter().any(word)
+        || of_a_quantity
 }

@@ -468,6 +468,8 @@ pub struct TransducerData {
     pub response_unit: String,
     /// Declared model.
     pub model: TransducerModel,
+    /// The response is a deviation, correction or error of the stimulus: it needs no slope.
+    pub deviation: bool,
     /// Names of further covariate columns.
     pub covariates: Vec<String>,
     /// Rows in file order.

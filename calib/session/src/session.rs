@@ -308,7 +308,7 @@ fn load_transducer(
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<(TransducerData, Sealed<TransducerRow>), SessionError> {
     let Document { files, transducer, .. } = document;
-    let TransducerSection { stimulus_unit, response_unit, model } =
+    let TransducerSection { stimulus_unit, response_unit, model, deviation } =
         transducer.ok_or_else(|| no_section("transducer"))?;
     for (key, unit) in [("stimulus_unit", &stimulus_unit), ("response_unit", &response_unit)] {
         if unit.trim().is_empty() {
@@ -327,7 +327,7 @@ fn load_transducer(
         holdout.extend(sealed.rows);
     }
     require_unsealed(&files.points, rows.len())?;
-    Ok((TransducerData { stimulus_unit, response_unit, model, covariates, rows }, holdout))
+    Ok((TransducerData { stimulus_unit, response_unit, model, deviation, covariates, rows }, holdout))
 }
 
 /// Covariates of a holdout table must be those of the points table, in the same order.

@@ -16,6 +16,8 @@ pub(crate) struct TransducerSection {
     pub(crate) stimulus_unit: String,
     pub(crate) response_unit: String,
     pub(crate) model: TransducerModel,
+    #[serde(default)]
+    pub(crate) deviation: bool,
 }
 
 /// Rows, names of the covariates, the file's hash.

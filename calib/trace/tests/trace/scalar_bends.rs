@@ -34,6 +34,7 @@ fn table(
         covariates: Vec::new(),
     };
     TransducerData {
+        deviation: false,
         stimulus_unit: units[0].into(),
         response_unit: units[1].into(),
         model,

@@ -138,6 +138,7 @@ fn levels(loads: &[f64], sweeps: usize, mut response: impl FnMut(usize, f64) -> 
         })
         .collect();
     TransducerData {
+        deviation: false,
         stimulus_unit: "N".into(),
         response_unit: "V".into(),
         model: TransducerModel::Linear,

@@ -27,6 +27,7 @@ fn run(model: TransducerModel, columns: &[&str], readings: Vec<Reading>) -> Scal
         covariates,
     };
     let data = TransducerData {
+        deviation: false,
         model,
         stimulus_unit: "kPa".into(),
         response_unit: "mV".into(),

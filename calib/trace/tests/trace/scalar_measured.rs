@@ -22,6 +22,7 @@ fn nist(file: &str, columns: &[&str], model: TransducerModel) -> TransducerData 
     let extra: Vec<String> =
         columns.iter().filter(|c| !matches!(**c, "x" | "y")).map(|c| (*c).to_owned()).collect();
     TransducerData {
+        deviation: false,
         stimulus_unit: "1".into(),
         response_unit: "1".into(),
         model,

@@ -46,6 +46,7 @@ fn transducer(
 ) -> TransducerData {
     let responses: Vec<f64> = sweep.iter().map(response).collect();
     TransducerData {
+        deviation: false,
         stimulus_unit: "N".into(),
         response_unit: "V".into(),
         model,

@@ -33,6 +33,7 @@ fn table(
         covariates: columns.iter().map(|c| c[k]).collect(),
     };
     TransducerData {
+        deviation: false,
         stimulus_unit: "N".into(),
         response_unit: "V".into(),
         model: TransducerModel::Linear,

@@ -50,6 +50,8 @@ pub struct Names {
     pub stimulus: String,
     /// Unit of the response.
     pub response: String,
+    /// The response is a deviation of the stimulus.
+    pub deviation: bool,
     /// Further covariates.
     pub covariates: Vec<String>,
 }
@@ -340,6 +342,16 @@ impl Frame {
         let ways: Vec<f64> = self.scaling.series.iter().map(mean_way).collect();
         // The reading at the turn may count for the stroke before.
         ways.iter().all(|w| w.abs() > ONE_WAY) && ways.windows(2).any(|w| w[0] * w[1] < 0.0)
+    }
+
+    /// The directions, times `before` until the stimulus first moves: of new rows they are what they say.
+    pub fn direction_begun(&self, before: f64) -> Option<Vec<f64>> {
+        let mut direction = self.direction.clone()?;
+        let still = self.setting.iter().take_while(|s| **s == self.setting[0]).count();
+        if !self.new_rows {
+            direction.iter_mut().take(still).for_each(|d| *d *= before);
+        }
+        Some(direction)
     }
 
     /// Settings enough were read on either way: a loop is a difference at equal stimuli.

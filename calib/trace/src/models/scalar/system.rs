@@ -93,6 +93,7 @@ impl ScalarSystem {
             names: Names {
                 stimulus: String::new(),
                 response: String::new(),
+                deviation: false,
                 covariates: covariate_names.to_vec(),
             },
             points: Arc::new(frame.rows.clone()),

@@ -15,7 +15,7 @@ use nalgebra::DVector;
 /// or cubic term that was accepted is one of them, and so is a wave over the stimulus.
 pub(super) fn non_invertible_reason(system: &ScalarSystem, h: &Hypothesis) -> Option<String> {
     let Declared::Polynomial(degree @ 1..) = system.frame.declared else { return None };
-    if is_deviation(system) {
+    if system.names().deviation {
         return None;
     }
     let fit = &h.fit;
@@ -34,43 +34,7 @@ pub(super) fn non_invertible_reason(system: &ScalarSystem, h: &Hypothesis) -> Op
         if p > NO_SLOPE { "does not depend on the stimulus" } else { "hardly depends on the stimulus" };
     let chance = if p < 0.01 { format!("{p:.1e}") } else { format!("{p:.2}") };
     (p > NO_SENSITIVITY)
-        .then(|| format!("The response {depends} (p = {chance}): there is no sensitivity to calibrate."))
-}
-
-/// A deviation is small beside the range of what it deviates from.
-const SMALL: f64 = 0.1;
-
-/// The response is a deviation, correction or error of the stimulus: of its quantity, and small beside its range. That needs no slope.
-fn is_deviation(system: &ScalarSystem) -> bool {
-    let names = system.names();
-    let largest = system.frame.rows.iter().map(|r| r.y.abs()).fold(0.0, f64::max);
-    match ratio_of_units(&names.response, &names.stimulus) {
-        Some(ratio) => largest * ratio < SMALL * 2.0 * system.frame.scaling.half,
-        None => false,
-    }
-}
-
-/// Unit `a` in units of `b`, where both are one quantity by their prefixes.
-fn ratio_of_units(a: &str, b: &str) -> Option<f64> {
-    // Counts and units that nobody stated are no quantity.
-    if [a, b].iter().any(|unit| matches!(unit.trim(), "" | "1")) {
-        return None;
-    }
-    let forms = |unit: &str| -> Vec<(String, f64)> {
-        let unit = unit.trim();
-        let kelvin = matches!(unit, "degC" | "\u{b0}C" | "K").then(|| ("K".to_owned(), 1.0));
-        let prefixed =
-            [("n", 1e-9), ("u", 1e-6), ("\u{b5}", 1e-6), ("m", 1e-3), ("c", 1e-2), ("k", 1e3), ("M", 1e6)];
-        let scaled = |(p, size): (&str, f64)| {
-            Some((unit.strip_prefix(p).filter(|rest| !rest.is_empty())?.to_owned(), size))
-        };
-        std::iter::once((unit.to_owned(), 1.0))
-            .chain(kelvin)
-            .chain(prefixed.into_iter().filter_map(scaled))
-            .collect()
-    };
-    let (a, b) = (forms(a), forms(b));
-    a.iter().find_map(|(base, size)| b.iter().find(|o| &o.0 == base && !base.is_empty()).map(|o| size / o.1))
+        .then(|| format!("The response {depends} (p = {chance}): there is no sensitivity to calibrate. A correction or deviation of the stimulus needs none: deviation = true under [transducer] of session.toml states that it is one."))
 }
 
 /// Columns of the design that are functions of the stimulus: the declared powers, and those of effects that act through the stimulus alone.

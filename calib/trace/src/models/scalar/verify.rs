@@ -87,7 +87,8 @@ pub fn verify_scalar(
         ScalarData::Transducer(_) => scaling.of_transducer(&rows, &stimulus),
         ScalarData::Axis(_) => scaling.with_places(&rows),
     };
-    let names = Names { stimulus, response, covariates: data.covariate_names() };
+    let deviation = matches!(data, ScalarData::Transducer(data) if data.deviation);
+    let names = Names { stimulus, response, deviation, covariates: data.covariate_names() };
     let model = ScalarSystem::new(Frame::new(rows, &scaling, declared), &names.covariates)
         .of_session(names, points, limits);
     Ok(match verify(model, sealed, &[], request)? {

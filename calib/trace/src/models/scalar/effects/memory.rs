@@ -21,9 +21,9 @@ pub fn relaxed_from(first: f64, u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
     out
 }
 
-/// Play: the output stays until the play is taken up, true on the way up.
-pub fn play(u: &[f64], width: f64) -> Vec<f64> {
-    let mut held = u.first().copied().unwrap_or(0.0);
+/// Play: the output stays until the play is taken up, true on the way up. `begun`: how far toward the other end it is taken up at first.
+pub fn play(u: &[f64], width: f64, begun: f64) -> Vec<f64> {
+    let mut held = u.first().copied().unwrap_or(0.0) + begun * width;
     u.iter()
         .map(|&x| {
             held = held.clamp(x, x + width);
@@ -95,7 +95,8 @@ mod tests {
     #[test]
     fn play_lags_only_after_the_reversal() {
         let up_down = [0.0, 1.0, 2.0, 1.95, 1.0, 0.0];
-        assert_eq!(play(&up_down, 0.1), vec![0.0, 1.0, 2.0, 2.0, 1.1, 0.1]);
+        assert_eq!(play(&up_down, 0.1, 0.0), vec![0.0, 1.0, 2.0, 2.0, 1.1, 0.1]);
+        assert_eq!(play(&up_down, 0.1, 0.5)[0], 0.05);
         let state = bouc_wen(&up_down, 1e-6);
         assert!(state[2] > 0.999 && state[4] < -0.999);
     }

@@ -1,7 +1,7 @@
 //! Effects on the stimulus, and those that can act on it.
 
 use super::memory::{bouc_wen, delayed, play, relaxed, relaxed_from};
-use crate::effect::{Effect, EffectModel, LawRequirement, law};
+use crate::effect::{Effect, EffectModel, LawRequirement, Values, law};
 use crate::scalar::frame::Declared;
 use crate::scalar::scalar_effect::ScalarEffect;
 
@@ -90,6 +90,16 @@ pub fn creep() -> ScalarEffect {
     }
 }
 
+/// How much of a loop lies between the state before the first move and that of its direction: nothing says where a record begins. A virgin sensor is
+/// halfway, one that was unloaded before the zero reading is on the other branch.
+fn begun(values: &Values<'_>) -> f64 {
+    match values.law() {
+        law if law.ends_with("-from-rest") => 0.5,
+        law if law.ends_with("-turned") => 1.0,
+        _ => 0.0,
+    }
+}
+
 /// Hysteresis: the response depends on whether the stimulus was rising or falling: Coulomb friction by direction, a loop that closes at both ends of the
 /// range (elastic hysteresis; DKD-R 6-1, ISO 376 reversibility), or Bouc-Wen with n = 1 (Wen 1976). An axis counts a mere offset by direction as backlash.
 ///
@@ -104,12 +114,12 @@ pub fn hysteresis(declared: Declared) -> ScalarEffect {
         [0.005, 2.0],
         &[0.02, 0.1, 0.3, 1.0],
     );
-    let plain = both("by-direction").column("half_loop", "response");
+    let plain = |name| both(name).column("half_loop", "response");
     let closed = both("closed-loop").column("half_loop", "response");
     let skewed = EffectModel { name: "skewed-loop", ..closed.clone() }.column("skew", "response");
     let mut laws = vec![gradual, closed, skewed];
     if declared != Declared::Axis {
-        laws.insert(0, plain);
+        laws.splice(0..0, ["by-direction", "by-direction-from-rest", "by-direction-turned"].map(plain));
     }
     ScalarEffect {
         warp: |values, frame, u| {
@@ -127,18 +137,19 @@ pub fn hysteresis(declared: Declared) -> ScalarEffect {
             true
         },
         columns: |values, frame| {
+            let begun = if values.law().starts_with("by-direction") { begun(&values) } else { 0.0 };
             let by_way = |f: fn(f64) -> f64| {
-                let direction = frame.direction.as_ref()?;
+                let direction = frame.direction_begun(1.0 - 2.0 * begun)?;
                 Some(direction.iter().zip(&frame.u).map(|(d, u)| d * f(*u)).collect::<Vec<f64>>())
             };
-            if values.law() != "by-direction" && !frame.new_rows && !frame.read_both_ways() {
+            if !values.law().starts_with("by-direction") && !frame.new_rows && !frame.read_both_ways() {
                 return (values.law() == "bouc-wen").then(Vec::new);
             }
             match values.law() {
-                "by-direction" => Some(vec![by_way(|_| 1.0)?]),
                 "closed-loop" => Some(vec![by_way(|u| 1.0 - u * u)?]),
                 "skewed-loop" => Some(vec![by_way(|u| 1.0 - u * u)?, by_way(|u| u * (1.0 - u * u))?]),
-                _ => Some(Vec::new()),
+                "bouc-wen" => Some(Vec::new()),
+                _ => Some(vec![by_way(|_| 1.0)?]),
             }
         },
         ..Effect {
@@ -156,19 +167,20 @@ pub fn hysteresis(declared: Declared) -> ScalarEffect {
 /// Backlash: after a reversal the output stays until the play is taken up (play operator). Of an axis an offset by direction is backlash, too
 /// (reversal value B of ISO 230-2).
 pub fn backlash(declared: Declared) -> ScalarEffect {
-    let taken_up = law("play").needing(&[LawRequirement::Slope, LawRequirement::BothDirections]).amplitude(
-        "backlash",
-        "half-range",
-        [0.0, 0.5],
-        0.01,
-    );
+    let taken_up = |name| {
+        let both = law(name).needing(&[LawRequirement::Slope, LawRequirement::BothDirections]);
+        both.amplitude("backlash", "half-range", [0.0, 0.5], 0.01)
+    };
     let reversal =
         law("reversal").needing(&[LawRequirement::BothDirections]).column("reversal_value", "response");
-    let laws = if declared == Declared::Axis { vec![taken_up, reversal] } else { vec![taken_up] };
+    let mut laws = ["play", "play-from-rest", "play-turned"].map(taken_up).to_vec();
+    if declared == Declared::Axis {
+        laws.push(reversal);
+    }
     ScalarEffect {
         warp: |values, _, u| {
-            if values.law() == "play" {
-                let held = play(u, values.of("backlash"));
+            if values.law() != "reversal" {
+                let held = play(u, values.of("backlash"), begun(values));
                 u.copy_from_slice(&held);
             }
             true

@@ -10,6 +10,7 @@
 
 use super::effects::POLYNOMIAL;
 use super::frame::Declared;
+use super::row::range;
 use super::system::ScalarSystem;
 use crate::effect::{EffectModel, EffectTerm};
 use crate::levels::{REPLICATES, RETAIN_BESIDE_CORRELATED, RIVAL, z};
@@ -43,7 +44,12 @@ impl LeftOut {
         for f in 0..folds.fold.iter().flatten().max().map_or(0, |m| m + 1) {
             let kept = weights.masked(|i| folds.fold[i] != Some(f));
             let left = fit(system, terms, &kept, REFIT_STEPS)?.raw_residual;
-            for i in (0..errors.len()).filter(|&i| folds.fold[i] == Some(f) && weights.counts(i)) {
+            // Outside the stimuli that are kept no law is asked: there a straight piece goes on and a polynomial swings.
+            let u = &system.frame.u;
+            let [low, high] = range((0..u.len()).filter(|&i| kept.counts(i)).map(|i| u[i]));
+            let inside = |i: usize| (low..=high).contains(&u[i]);
+            for i in (0..errors.len()).filter(|&i| folds.fold[i] == Some(f) && weights.counts(i) && inside(i))
+            {
                 errors[i] = left[(i, 0)] * weights.of(i);
             }
         }
@@ -67,15 +73,21 @@ pub(super) fn compete(system: &ScalarSystem, explained: &mut Explained, options:
     if explained.exact || system.frame.cyclic() {
         return;
     }
-    let bends = found.accepted().fit.terms.iter().filter(|t| system.effects()[t.effect].bend).count();
+    let terms = &found.accepted().fit.terms;
+    let bends = terms.iter().filter(|t| system.effects()[t.effect].bend).count();
+    // A smooth curve is a bend, and a wave or another bend for what is left of it: pieces of a law that the catalogue does not have.
+    let of_stimulus = |t: &&EffectTerm| {
+        let of = &system.effects()[t.effect];
+        of.bend || of.waves_of_stimulus.contains(&of.effect.law(t.law).name)
+    };
+    let in_pieces =
+        bends > 0 && terms.iter().filter(of_stimulus).count() > 1 && !is_polynomial(system, found.accepted());
     // The errors of an axis have a table of their own.
     let may_be_smooth = system.frame.declared != Declared::Axis;
     if let Some(noise) = slow_noise(system, found.accepted(), options.seed) {
         beside_slow_noise(system, explained, &noise, options);
-    } else if may_be_smooth
-        && (smooth_rest(system, explained) || bends > 1 && !is_polynomial(system, &found.best))
-    {
-        prefer_polynomial(system, explained, options);
+    } else if may_be_smooth && (in_pieces || smooth_rest(system, explained)) {
+        prefer_polynomial(system, explained, in_pieces, options);
     } else if bends == 1 && !found.covariate_beats_catalogue {
         let outcome = Contest::of(system, &found.best, &explained.noise, true).outcome();
         take(system, explained, outcome, options);
@@ -259,8 +271,9 @@ fn beside_slow_noise(system: &ScalarSystem, explained: &mut Explained, noise: &N
     explained.noise = noise;
 }
 
-/// A polynomial of the least degree that no higher one beats on readings left out, where it takes most of what the laws of the stimulus leave of them.
-fn prefer_polynomial(system: &ScalarSystem, explained: &mut Explained, options: &Options) {
+/// A polynomial of the least degree that no higher one beats on readings left out, where it takes most of what the laws of the stimulus leave of them, or any
+/// of what laws `in_pieces` leave.
+fn prefer_polynomial(system: &ScalarSystem, explained: &mut Explained, in_pieces: bool, options: &Options) {
     let found = &explained.found;
     let contest = Contest::of(system, found.accepted(), &explained.noise, false);
     let effects = system.effects();
@@ -281,7 +294,8 @@ fn prefer_polynomial(system: &ScalarSystem, explained: &mut Explained, options: 
         return;
     };
     let laws = contest.left_out(&found.accepted().fit.terms);
-    if laws.is_none_or(|laws| errors.squares() >= MATTERS * laws.squares()) {
+    let most = if in_pieces { 1.0 } else { MATTERS };
+    if laws.is_none_or(|laws| errors.squares() >= most * laws.squares()) {
         return;
     }
     let Some(fit) =
@@ -290,8 +304,8 @@ fn prefer_polynomial(system: &ScalarSystem, explained: &mut Explained, options: 
         return;
     };
     let smooth = contest.hypothesis(fit);
-    let lacks = system.pure_error(&smooth).is_some_and(|l| l.p_value.is_some_and(|p| p < REPLICATES));
-    if lacks || system.unidentified_term(&smooth).is_some() {
+    // What it lacks is no reason for laws that lack more: something is left then, and is said.
+    if system.unidentified_term(&smooth).is_some() {
         return;
     }
     let last_test = omnibus_test(system, &smooth.fit, &smooth.weights, options);

@@ -8,7 +8,7 @@ const GROUP_MARKS: [char; 6] = [' ', '\u{a0}', '\u{202f}', '\u{2009}', '\'', '\u
 
 /// Words for a value that is not there, in small letters: those of programs, spreadsheets, and instruments whose input is open or beyond its
 /// range.
-const MISSING: [&str; 38] = [
+const MISSING: [&str; 37] = [
     "nan",
     "na",
     "n/a",
@@ -34,7 +34,6 @@ const MISSING: [&str; 38] = [
     ".",
     "..",
     "?",
-    "*",
     "inf",
     "infinity",
     "ol",
@@ -90,7 +89,13 @@ pub(crate) fn is_missing(cell: &str) -> bool {
     let of_sheet = word
         .strip_prefix('#')
         .is_some_and(|error| error == "na" || error.ends_with(['!', '?']) || error == "n/a");
-    of_sheet || unsigned.starts_with("1.#") || MISSING.contains(&unsigned) || MISSING.contains(&&*word)
+    // A field that is too narrow for its number is filled.
+    let filled = !word.is_empty() && word.chars().all(|c| matches!(c, '*' | '#'));
+    of_sheet
+        || filled
+        || unsigned.starts_with("1.#")
+        || MISSING.contains(&unsigned)
+        || MISSING.contains(&&*word)
 }
 
 /// A number as Rust reads it: exponents after `D` (Fortran's double precision) with an `E`, no marks between groups of three digits, a

@@ -357,7 +357,15 @@ impl TextTable {
             return Ok(None);
         }
         let error = |expected: &str| InputError::new(&self.file, expected, quote(cell)).at(*line).field(name);
-        let cell = if self.foreign { plain(cell) } else { cell.into() };
+        let mut cell = if self.foreign { plain(cell) } else { cell.into() };
+        // Where decimals have a dot elsewhere, a comma before three digits stands between thousands.
+        if self.foreign && !self.decimal_comma && cell.contains(',') {
+            let whole = cell.trim_start_matches(['-', '+']).split('.').next().unwrap_or_default();
+            let dot = |c: &str| c.contains('.') && c.parse::<f64>().is_ok();
+            if grouped(whole, &[',']) && self.rows.iter().any(|(_, cells)| cells.iter().any(dot)) {
+                cell = cell.replace(',', "").into();
+            }
+        }
         let parsed = if self.decimal_comma {
             // Where a comma stands before decimals a dot stands between thousands, or the table is of another kind.
             let unsigned = cell.trim_start_matches(['-', '+']);

@@ -158,9 +158,15 @@ fn named<M: SessionModel>(
         .collect()
 }
 
-/// What the effects do, in their catalogue's words.
+/// What the effects do, in their catalogue's words, and what they cannot be told from.
 fn sentences(effects: &[NamedEffect]) -> String {
-    effects.iter().map(|e| e.sentence.as_str()).collect::<Vec<_>>().join(" ")
+    let sentence = |e: &NamedEffect| match &e.class[..] {
+        [] | [_] => e.sentence.clone(),
+        [_, others @ ..] => {
+            format!("{} These readings do not tell it from {}.", e.sentence, others.join(" or "))
+        }
+    };
+    effects.iter().map(sentence).collect::<Vec<_>>().join(" ")
 }
 
 fn unknown(test: &OmnibusTest) -> Option<UnknownEffect> {

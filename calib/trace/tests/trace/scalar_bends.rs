@@ -256,13 +256,76 @@ fn a_creep_test_begins_with_its_load_and_a_warm_up_is_told_from_two_loads() {
 fn a_deviation_needs_no_slope() {
     let mut rng = Noise::new(8);
     let at = places(20.0, 30.0, 12, 1);
-    let of = |unit: &str, rng: &mut Noise| {
-        run(&table(["degC", unit], TransducerModel::Linear, &at, |_, _| -0.14 + 0.006 * rng.next()))
+    let mut of = |deviation: bool| {
+        let flat = table(["degC", "degC"], TransducerModel::Linear, &at, |_, _| -0.14 + 0.006 * rng.next());
+        run(&TransducerData { deviation, ..flat })
     };
-    for unit in ["degC", "K"] {
-        assert_eq!(answer(&of(unit, &mut rng)), (Verdict::Adequate, Vec::new()));
-    }
-    // Control: a signal that does not follow its stimulus is none.
-    let v = of("V", &mut rng);
+    assert_eq!(answer(&of(true)), (Verdict::Adequate, Vec::new()));
+    // Control: a reading that does not follow its stimulus is of a dead gauge.
+    let v = of(false);
     assert!(v.document.reason.contains("does not depend"), "{}", v.document.reason);
+}
+
+/// Play by 8 sigma, three times up and down at one pace.
+#[test]
+fn a_play_at_one_pace_is_not_a_lag_alone() {
+    let up_and_down: Vec<f64> =
+        (0..61).map(|k| 25.0 * f64::from(10 - ((k % 20) as i32 - 10).abs())).collect();
+    let at: Vec<At> =
+        up_and_down.iter().enumerate().map(|(k, x)| (*x, Some(12.0 * k as f64), None)).collect();
+    // Where the play stood at first: a virgin sensor, one that was unloaded before, one that was loaded.
+    for (k, first) in [0.0, 2.0, -2.0].into_iter().enumerate() {
+        let (mut rng, mut held) = (Noise::new(40 + k as u64), first);
+        let v = run(&table(["N m", "V"], TransducerModel::Linear, &at, |_, x| {
+            held = f64::clamp(held, x - 2.0, x + 2.0);
+            0.004 * held + 0.001 * rng.next()
+        }));
+        let (verdict, names) = answer(&v);
+        let class: Vec<&str> = v.document.effects.iter().flat_map(|e| &e.class).map(String::as_str).collect();
+        let play = |name: &&&str| matches!(**name, "hysteresis" | "backlash");
+        assert_eq!((verdict, names.len()), (Verdict::Effect, 1), "{first}: {names:?} {}", v.document.reason);
+        assert!(class.iter().any(|n| play(&n)), "{first}: {class:?}");
+    }
+    // Control: a lag of which the pace changes is one.
+    let mut t_s = 0.0;
+    let changing: Vec<At> = up_and_down
+        .iter()
+        .enumerate()
+        .map(|(k, x)| {
+            t_s += if k / 20 == 1 { 4.0 } else { 12.0 };
+            (*x, Some(t_s), None)
+        })
+        .collect();
+    let (mut rng, mut before) = (Noise::new(44), (0.0, 0.0));
+    let v = run(&table(["N m", "V"], TransducerModel::Linear, &changing, |k, x| {
+        let (t, late) = (changing[k].1.unwrap(), 1.0);
+        let at = if k == 0 { x } else { x - (x - before.1) * late / (t - before.0) };
+        before = (t, x);
+        0.004 * at + 0.001 * rng.next()
+    }));
+    assert_eq!(answer(&v), (Verdict::Effect, vec!["lag"]), "{}", v.document.reason);
+}
+
+#[test]
+fn a_smooth_curve_is_no_knee_and_no_wave() {
+    // A thermocouple's excess over a line, mV, and an S-curve.
+    let couple = |u: f64| 0.06 * (2.6 * u).sin() + 0.02 * (5.5 * u + 0.4).cos();
+    let s_curve = |u: f64| 1.5 / (1.0 + (-6.0 * u).exp());
+    for (k, curve) in [&couple as &dyn Fn(f64) -> f64, &s_curve].into_iter().enumerate() {
+        let mut rng = Noise::new(60 + k as u64);
+        let at = places(0.0, 500.0, 21, 3);
+        let v = run(&table(["degC", "mV"], TransducerModel::Linear, &at, |_, x| {
+            0.04 * x + curve(x / 250.0 - 1.0) + 0.004 * rng.next()
+        }));
+        let (_, names) = answer(&v);
+        let pieces = ["knee", "saturation", "dead-zone", "periodic"];
+        assert!(names.iter().all(|n| !pieces.contains(n)), "{k}: {names:?}");
+    }
+    // Control: a knee is one.
+    let mut rng = Noise::new(70);
+    let at = places(0.0, 500.0, 21, 3);
+    let v = run(&table(["degC", "mV"], TransducerModel::Linear, &at, |_, x| {
+        0.04 * x + 0.01 * (x - 300.0).max(0.0) + 0.004 * rng.next()
+    }));
+    assert_eq!(answer(&v), (Verdict::Effect, vec!["knee"]), "{}", v.document.reason);
 }

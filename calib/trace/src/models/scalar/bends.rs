@@ -38,17 +38,23 @@ struct LeftOut {
 }
 
 impl LeftOut {
-    /// With a model of `terms` that starts from their values, on readings taken for independent.
-    fn of(system: &ScalarSystem, terms: &[EffectTerm], weights: &Weights, folds: &Folds) -> Option<Self> {
+    /// With a model of `terms` that starts from their values, on readings taken for independent; without those beyond the stimuli that
+    /// are kept where `inside`.
+    fn of(
+        system: &ScalarSystem,
+        terms: &[EffectTerm],
+        weights: &Weights,
+        folds: &Folds,
+        inside: bool,
+    ) -> Option<Self> {
         let mut errors = vec![0.0; folds.fold.len()];
         for f in 0..folds.fold.iter().flatten().max().map_or(0, |m| m + 1) {
             let kept = weights.masked(|i| folds.fold[i] != Some(f));
             let left = fit(system, terms, &kept, REFIT_STEPS)?.raw_residual;
-            // Outside the stimuli that are kept no law is asked: there a straight piece goes on and a polynomial swings.
             let u = &system.frame.u;
             let [low, high] = range((0..u.len()).filter(|&i| kept.counts(i)).map(|i| u[i]));
-            let inside = |i: usize| (low..=high).contains(&u[i]);
-            for i in (0..errors.len()).filter(|&i| folds.fold[i] == Some(f) && weights.counts(i) && inside(i))
+            let asked = |i: usize| !inside || (low..=high).contains(&u[i]);
+            for i in (0..errors.len()).filter(|&i| folds.fold[i] == Some(f) && weights.counts(i) && asked(i))
             {
                 errors[i] = left[(i, 0)] * weights.of(i);
             }
@@ -150,6 +156,8 @@ struct Contest<'a> {
     noise: DMatrix<f64>,
     /// Standard deviations of D beyond which a bend falls.
     z: f64,
+    /// Readings beyond the stimuli that are kept do not count: there a straight piece goes on, and a polynomial swings.
+    inside: bool,
 }
 
 impl<'a> Contest<'a> {
@@ -175,11 +183,12 @@ impl<'a> Contest<'a> {
             folds: system.folds(h),
             noise: covariance,
             z: z(if noise.correlated.is_some() { RETAIN_BESIDE_CORRELATED } else { RIVAL }),
+            inside: false,
         }
     }
 
     fn left_out(&self, terms: &[EffectTerm]) -> Option<LeftOut> {
-        LeftOut::of(self.system, terms, &self.independent, &self.folds)
+        LeftOut::of(self.system, terms, &self.independent, &self.folds, self.inside)
     }
 
     /// Every bend that may stand in this place, refitted, with what it leaves of readings left out.
@@ -275,7 +284,7 @@ fn beside_slow_noise(system: &ScalarSystem, explained: &mut Explained, noise: &N
 /// of what laws `in_pieces` leave.
 fn prefer_polynomial(system: &ScalarSystem, explained: &mut Explained, in_pieces: bool, options: &Options) {
     let found = &explained.found;
-    let contest = Contest::of(system, found.accepted(), &explained.noise, false);
+    let contest = Contest { inside: true, ..Contest::of(system, found.accepted(), &explained.noise, false) };
     let effects = system.effects();
     let Some(effect) = effects.iter().position(|e| e.effect.id == POLYNOMIAL) else { return };
     let of_degree = |(law, form): (usize, &EffectModel)| {

@@ -180,7 +180,7 @@ impl KnownMotionStream {
         };
         let sliding = touch.sliding.as_ref().and_then(SlidingStream::ln_evidence);
         let sliding = sliding.filter(|(_, solved)| *solved == blocks).map_or(OUT, |s| s.0);
-        touch.weights = weighed.weights(self.prior, [sliding, OUT], false);
+        touch.weights = weighed.evidence(self.prior, [sliding, OUT], false).weights(&[]);
         if touch.sliding.is_none() && (found.disagrees || touch.weights.regimes.of(Regime::Fixed) < 0.5) {
             touch.sliding = Some(SlidingStream::new(self.wire.touched()?, &std::mem::take(&mut touch.rows)));
         }

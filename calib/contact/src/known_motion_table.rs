@@ -12,8 +12,8 @@ use crate::known_motion::{
 };
 use crate::reading::{MotionAccuracy, Reading};
 use crate::regimes::{
-    ANY_OBJECT, Alternative, ContactEvidence, ContactWeights, MIN_WEIGHT, Misstatement, PERCENT, Regime,
-    SWEPT_OBJECT, Weighed,
+    ANY_OBJECT, Alternative, ContactEvidence, ContactWeights, GAIN, MIN_WEIGHT, Misstatement, PERCENT,
+    Regime, SWEPT_OBJECT, Weighed,
 };
 use crate::sliding::{SlidingContact, TouchedWire, locate_sliding};
 use crate::static_arc::StaticArc;
@@ -297,10 +297,7 @@ impl KnownMotionTable {
         }
         let by_gain = self.contacts.iter().map(TableContact::mm_by_gain).fold(0.0, f64::max);
         if by_gain > 0.0 {
-            all.push(format!(
-                "gain: that of the calibration is what it states; moments along a motion do not show an error of it, nor one of the clock, which an object or \
-                 a groove that is known does; 1 % of gain moves a contact by up to {by_gain:.2} mm"
-            ));
+            all.push(format!("{GAIN}; 1 % of gain moves a contact by up to {by_gain:.2} mm"));
         }
         if self.contacts.is_empty() {
             all.push(

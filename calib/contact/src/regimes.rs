@@ -30,11 +30,14 @@ use wcal_core::stream::Flags;
 pub const CREEP_SDS: [f64; 3] = [0.02, 0.1, 0.4];
 /// T: the power of the evidence. An assumption.
 const POWER: f64 = 0.8;
-/// A regime of less weight is left out of what is stated.
-pub const MIN_WEIGHT: f64 = 1e-3;
+/// A regime of less weight is left out of what is stated: a 95 % region need not hold it, and a place far off would be most of the covariance.
+pub const MIN_WEIGHT: f64 = 0.02;
 /// Factors by which moments may be misstated: this one's powers up to so many, on both sides of 1; what lies between two is an unknown.
 const FACTOR: f64 = 1.2;
 const FACTORS: i32 = 5;
+/// What is said once of a record with contacts.
+pub(crate) const GAIN: &str = "gain: that of the calibration is taken for as certain as it states it; moments along a motion hardly show an error of it, nor one of \
+     the clock, which an object or a groove that is known does";
 /// Moments that are larger by 1 %, over those that are read.
 pub(crate) const PERCENT: f64 = 1.01;
 /// ln p(m) of a way that is not looked at.

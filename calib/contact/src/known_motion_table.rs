@@ -13,7 +13,7 @@ use crate::known_motion::{
 use crate::reading::{MotionAccuracy, Reading};
 use crate::regimes::{
     ANY_OBJECT, Alternative, ContactEvidence, ContactWeights, GAIN, MIN_WEIGHT, Misstatement, PERCENT,
-    Regime, SWEPT_OBJECT, Weighed,
+    Regime, RegimeWeights, SWEPT_OBJECT, Weighed,
 };
 use crate::sliding::{SlidingContact, TouchedWire, locate_sliding};
 use crate::static_arc::StaticArc;
@@ -113,9 +113,8 @@ pub struct KnownMotionTable {
     wire: CalibratedWire,
     touched: TouchedWire,
     accuracy: MotionAccuracy,
-    /// Whether the table is of a sweep over an object: there a contact slides by its nature and is no doubt; elsewhere a wrong motion or
-    /// calibration is as likely.
-    over_object: bool,
+    /// In a sweep over an object a contact slides by its nature and is no doubt; elsewhere a wrong motion or calibration is as likely.
+    prior: RegimeWeights,
     /// Readings whose motion is known, the piece of the motion that each is in, and its number among all.
     rows: Vec<MotionRow>,
     pieces: Vec<u32>,
@@ -143,7 +142,7 @@ impl KnownMotionTable {
             touched: wire.touched()?,
             wire,
             accuracy,
-            over_object,
+            prior: if over_object { SWEPT_OBJECT } else { ANY_OBJECT },
             rows: Vec::new(),
             pieces: Vec::new(),
             index: Vec::new(),
@@ -186,13 +185,12 @@ impl KnownMotionTable {
         let settings = self.wire.settings(&self.accuracy);
         let sliding = self.slid([from, to], Misstatement::NONE);
         let episode = Episode { rows: rows.to_vec(), push: None };
-        let prior = if self.over_object { SWEPT_OBJECT } else { ANY_OBJECT };
         let evidence = ContactPath::new(field, &episode).map(|path| {
             let first = rows.iter().position(loaded).unwrap_or(0);
             let before = first.checked_sub(1).map(|k| rows[k].clone());
             let blocks = sliding.means.at_middles();
             let weighed = Weighed { field, settings, push: path.push, before, blocks, factors: true };
-            weighed.evidence(prior, sliding.ln_evidence, sliding.sure())
+            weighed.evidence(self.prior, sliding.ln_evidence, sliding.sure())
         });
         (sliding, evidence)
     }
@@ -248,11 +246,10 @@ impl KnownMotionTable {
             };
             (0..said[n].len()).map(of).collect::<Vec<f64>>()
         };
-        let prior = if self.over_object { SWEPT_OBJECT } else { ANY_OBJECT };
         let contact =
             |(n, (range, (sliding, evidence))): (usize, (_, (SlidingContact, Option<ContactEvidence>)))| {
                 let weights =
-                    evidence.map_or_else(|| ContactWeights::prior(prior), |e| e.weights(&others(n)));
+                    evidence.map_or_else(|| ContactWeights::prior(self.prior), |e| e.weights(&others(n)));
                 let sliding = match weights.misstated_slide() {
                     Some(misstated) => self.slid(range, misstated),
                     None => sliding,

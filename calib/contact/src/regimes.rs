@@ -30,8 +30,10 @@ use wcal_core::stream::Flags;
 pub const CREEP_SDS: [f64; 3] = [0.02, 0.1, 0.4];
 /// T: the power of the evidence. An assumption.
 const POWER: f64 = 0.8;
-/// A regime of less weight is left out of what is stated: a 95 % region need not hold it, and a place far off would be most of the covariance.
-pub const MIN_WEIGHT: f64 = 0.02;
+/// A regime of less weight is left out of what is stated.
+pub const MIN_WEIGHT: f64 = 1e-3;
+/// A mistake is stated from this weight on: a 95 % region need not hold a rarer one, which is far off and would be most of the covariance.
+const MIN_MISTAKE: f64 = 0.05;
 /// Factors by which moments may be misstated: this one's powers up to so many, on both sides of 1; what lies between two is an unknown.
 const FACTOR: f64 = 1.2;
 const FACTORS: i32 = 5;
@@ -223,7 +225,8 @@ impl ContactWeights {
         let mut all = vec![(own(Regime::Fixed), 0.0, Misstatement::NONE)];
         let creeping = CREEP_SDS.into_iter().zip(self.creeping);
         all.extend(creeping.map(|(sd, share)| (own(Regime::Creeping) * share, sd, Misstatement::NONE)));
-        all.extend(self.misstatement.map(|(m, [fixed, _])| (own(Regime::Misstated) * fixed, 0.0, m)));
+        let mistaken = self.misstatement.map(|(m, [fixed, _])| (own(Regime::Misstated) * fixed, 0.0, m));
+        all.extend(mistaken.filter(|(weight, ..)| *weight > MIN_MISTAKE));
         all
     }
 }

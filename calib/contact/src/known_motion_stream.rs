@@ -16,7 +16,7 @@ use crate::known_motion::{
 };
 use crate::reading::{Moments, MotionAccuracy, Reading, RowMotion};
 use crate::regimes::{
-    ANY_OBJECT, Alternative, CREEP_SDS, ContactWeights, GROOVE, MIN_WEIGHT, OUT, Regime, RegimeWeights,
+    ANY_OBJECT, Alternative, CREEP_SDS, ContactWeights, GAIN, GROOVE, MIN_WEIGHT, OUT, Regime, RegimeWeights,
     Weighed,
 };
 use crate::sliding::{Blocks, SlidingStream};
@@ -180,7 +180,7 @@ impl KnownMotionStream {
         };
         let sliding = touch.sliding.as_ref().and_then(SlidingStream::ln_evidence);
         let sliding = sliding.filter(|(_, solved)| *solved == blocks).map_or(OUT, |s| s.0);
-        touch.weights = weighed.weights(self.prior, [sliding, OUT], false);
+        touch.weights = weighed.evidence(self.prior, [sliding, OUT], false).weights(&[]);
         if touch.sliding.is_none() && (found.disagrees || touch.weights.regimes.of(Regime::Fixed) < 0.5) {
             touch.sliding = Some(SlidingStream::new(self.wire.touched()?, &std::mem::take(&mut touch.rows)));
         }
@@ -210,6 +210,9 @@ impl KnownMotionStream {
         all.extend(self.episodes.iter().filter_map(said).map(|(number, said)| {
             format!("warning: contact {number}: {said}; marked motion-disagrees in status")
         }));
+        if !self.episodes.is_empty() {
+            all.push(GAIN.to_owned());
+        }
         if self.episodes.is_empty() && self.stream.is_some() {
             all.push("no contact: no row is loaded beyond its noise where the motion is known".to_owned());
         }

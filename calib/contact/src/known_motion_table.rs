@@ -7,11 +7,13 @@ use crate::calibrated_wire::CalibratedWire;
 use crate::estimator::{Contact, Estimator, Findings};
 use crate::known_motion::contact_path::{ContactPath, loaded};
 use crate::known_motion::{
-    Episode, EpisodeContact, EpisodeEstimate, MotionRow, Posterior, Settings, episodes, estimate_contact,
+    Episode, EpisodeContact, EpisodeEstimate, MomentField, MotionRow, Posterior, Settings, episodes,
+    estimate_contact,
 };
 use crate::reading::{MotionAccuracy, Reading};
 use crate::regimes::{
-    ANY_OBJECT, Alternative, ContactWeights, MIN_WEIGHT, Misstatement, Regime, SWEPT_OBJECT, Weighed,
+    ANY_OBJECT, Alternative, ContactEvidence, ContactWeights, GAIN, MIN_WEIGHT, Misstatement, PERCENT,
+    Regime, RegimeWeights, SWEPT_OBJECT, Weighed,
 };
 use crate::sliding::{SlidingContact, TouchedWire, locate_sliding};
 use crate::static_arc::StaticArc;
@@ -36,9 +38,16 @@ struct TableContact {
     points: Vec<(f64, Misstatement, EpisodeEstimate)>,
     /// As one that slides.
     sliding: SlidingContact,
+    /// As the likeliest of the points: how far moments that are larger by 1 % move it, mm.
+    point_mm_by_gain: f64,
 }
 
 impl TableContact {
+    /// How far moments that are larger by 1 % move it, mm.
+    fn mm_by_gain(&self) -> f64 {
+        if self.weights.slides() { self.sliding.mm_by_gain } else { self.point_mm_by_gain }
+    }
+
     /// The likeliest of the points along the motion as it is stated.
     fn point(&self) -> &EpisodeEstimate {
         let own = self.points.iter().filter(|p| p.1 == Misstatement::NONE);
@@ -71,7 +80,7 @@ impl TableContact {
             let arc = found.posterior.as_ref().map(Posterior::arc).unwrap_or_default();
             all.push(Alternative { weight: *weight, place: found.places[k].clone(), arc });
         }
-        let weight = self.weights.regimes.of(Regime::Sliding);
+        let weight = self.weights.sliding();
         let slid = self.slid(rows, k);
         // Before its first place a contact that slides is not known to be anywhere.
         if self.weights.slides() && slid.is_none() {
@@ -104,9 +113,8 @@ pub struct KnownMotionTable {
     wire: CalibratedWire,
     touched: TouchedWire,
     accuracy: MotionAccuracy,
-    /// Whether the table is of a sweep over an object: there a contact slides by its nature and is no doubt; elsewhere a wrong motion or
-    /// calibration is as likely.
-    over_object: bool,
+    /// In a sweep over an object a contact slides by its nature and is no doubt; elsewhere a wrong motion or calibration is as likely.
+    prior: RegimeWeights,
     /// Readings whose motion is known, the piece of the motion that each is in, and its number among all.
     rows: Vec<MotionRow>,
     pieces: Vec<u32>,
@@ -134,7 +142,7 @@ impl KnownMotionTable {
             touched: wire.touched()?,
             wire,
             accuracy,
-            over_object,
+            prior: if over_object { SWEPT_OBJECT } else { ANY_OBJECT },
             rows: Vec::new(),
             pieces: Vec::new(),
             index: Vec::new(),
@@ -171,27 +179,41 @@ impl KnownMotionTable {
         }
     }
 
-    /// The contact of an episode.
-    fn contact(&self, range: [usize; 2]) -> Result<TableContact, ContactError> {
-        let [from, to] = range;
+    /// As one that slides, and what its readings say of how it moves; none where the motion has no direction.
+    fn evidence(&self, [from, to]: [usize; 2]) -> (SlidingContact, Option<ContactEvidence>) {
         let (field, rows) = (&self.wire.field, &self.rows[from..to]);
         let settings = self.wire.settings(&self.accuracy);
+        let sliding = self.slid([from, to], Misstatement::NONE);
+        let episode = Episode { rows: rows.to_vec(), push: None };
+        let evidence = ContactPath::new(field, &episode).map(|path| {
+            let first = rows.iter().position(loaded).unwrap_or(0);
+            let before = first.checked_sub(1).map(|k| rows[k].clone());
+            let blocks = sliding.means.at_middles();
+            let weighed = Weighed { field, settings, push: path.push, before, blocks, factors: true };
+            weighed.evidence(self.prior, sliding.ln_evidence, sliding.sure())
+        });
+        (sliding, evidence)
+    }
+
+    /// As one that slides, where this is misstated.
+    fn slid(&self, [from, to]: [usize; 2], misstated: Misstatement) -> SlidingContact {
         let past = self.pieces[to..].iter().take(PAST).take_while(|p| **p == self.pieces[from]).count();
-        let mut sliding = locate_sliding(&self.touched, &self.rows[from..to + past]);
+        let (rows, _) = misstated.undone(&self.rows[from..to + past], &self.wire.settings(&self.accuracy));
+        let mut sliding = locate_sliding(&self.touched, &rows);
         sliding.places.truncate(to - from);
         sliding.arcs.truncate(to - from);
-        let first = rows.iter().position(loaded).unwrap_or(0);
-        let episode = Episode { rows: rows.to_vec(), push: None };
-        let prior = if self.over_object { SWEPT_OBJECT } else { ANY_OBJECT };
-        let weights = match ContactPath::new(field, &episode).map(|path| path.push) {
-            Some(push) => {
-                let before = first.checked_sub(1).map(|k| rows[k].clone());
-                let blocks = sliding.means.at_middles();
-                let weighed = Weighed { field, settings, push, before, blocks, factors: true };
-                weighed.weights(prior, sliding.ln_evidence, sliding.sure())
-            }
-            None => ContactWeights::prior(prior),
-        };
+        sliding
+    }
+
+    /// The contact of an episode with its weights.
+    fn contact(
+        &self,
+        range: [usize; 2],
+        sliding: SlidingContact,
+        weights: ContactWeights,
+    ) -> Result<TableContact, ContactError> {
+        let (field, rows) = (&self.wire.field, &self.rows[range[0]..range[1]]);
+        let settings = self.wire.settings(&self.accuracy);
         let mut points = Vec::new();
         for (n, (weight, creep_sd, misstated)) in weights.points().into_iter().enumerate() {
             // The fixed point's innovations are looked at whatever its weight.
@@ -202,7 +224,39 @@ impl KnownMotionTable {
                 points.push((weight, misstated, found));
             }
         }
-        Ok(TableContact { range, span_s: [rows[0].t_s, rows[to - from - 1].t_s], weights, points, sliding })
+        let span_s = [rows[0].t_s, rows[rows.len() - 1].t_s];
+        let mut own = TableContact { range, span_s, weights, points, sliding, point_mm_by_gain: 0.0 };
+        own.point_mm_by_gain = mm_by_gain(field, rows, own.point(), &settings)?;
+        Ok(own)
+    }
+
+    /// The contacts of all episodes: what is misstated is so in all of them.
+    fn contacts(&self, ranges: Vec<[usize; 2]>) -> Result<Vec<TableContact>, ContactError> {
+        let found: Vec<_> = ranges.into_par_iter().map(|range| (range, self.evidence(range))).collect();
+        let said: Vec<Vec<f64>> = found
+            .iter()
+            .map(|(_, (_, evidence))| {
+                evidence.as_ref().map_or_else(Vec::new, ContactEvidence::of_misstatements)
+            })
+            .collect();
+        let others = |n: usize| {
+            // Contacts are independent but for what is misstated: their logarithms add up.
+            let of = |m: usize| {
+                said.iter().enumerate().filter(|(k, _)| *k != n).filter_map(|(_, s)| s.get(m)).sum()
+            };
+            (0..said[n].len()).map(of).collect::<Vec<f64>>()
+        };
+        let contact =
+            |(n, (range, (sliding, evidence))): (usize, (_, (SlidingContact, Option<ContactEvidence>)))| {
+                let weights =
+                    evidence.map_or_else(|| ContactWeights::prior(self.prior), |e| e.weights(&others(n)));
+                let sliding = match weights.misstated_slide() {
+                    Some(misstated) => self.slid(range, misstated),
+                    None => sliding,
+                };
+                self.contact(range, sliding, weights)
+            };
+        found.into_par_iter().enumerate().map(contact).collect()
     }
 
     fn messages(&self) -> Vec<String> {
@@ -219,13 +273,11 @@ impl KnownMotionTable {
         for (n, c) in self.contacts.iter().enumerate() {
             let said = match (c.weights.regimes.certain(), c.weights.misstatement) {
                 (None, _) => "it is not told whether its point of the object stays, creeps or slides; places and regions are those of all".to_owned(),
-                (Some(Regime::Misstated), Some(m)) => format!("{}; marked motion-disagrees in status", m.sentence()),
+                (Some(Regime::Misstated), Some((m, _))) => format!("{}; marked motion-disagrees in status", m.sentence()),
                 (Some(Regime::Sliding), _) if !c.sliding.sure() => "the fit of a sliding contact leaves more than noise, or the motion turns \
                      back: the contact may be lost, and its regions are wide; marked sliding-assumed in status"
                     .to_owned(),
-                (Some(Regime::Sliding), _) => "it slides over the object; an error of the calibration's gain or of the clock would move it unseen, \
-                     but for an object that is known"
-                    .to_owned(),
+                (Some(Regime::Sliding), _) => "it slides over the object".to_owned(),
                 _ if c.flags().has(Flags::MOTION_DISAGREES) => match c.point().innovations.sentence() {
                     Some(said) => format!("{said}; marked motion-disagrees in status"),
                     None => "the motion says nothing of the moments; marked motion-disagrees in status".to_owned(),
@@ -239,6 +291,10 @@ impl KnownMotionTable {
                 let t_s = self.rows[c.range[0] + k].t_s;
                 format!("contact {n}: it slips to another place of the object before {t_s:.2} s")
             }));
+        }
+        let by_gain = self.contacts.iter().map(TableContact::mm_by_gain).fold(0.0, f64::max);
+        if by_gain > 0.0 {
+            all.push(format!("{GAIN}; 1 % of gain moves a contact by up to {by_gain:.2} mm"));
         }
         if self.contacts.is_empty() {
             all.push(
@@ -272,8 +328,7 @@ impl Estimator for KnownMotionTable {
     fn finish(&mut self) -> Result<Vec<Contact>, ContactError> {
         self.split_noise();
         let ranges = episodes(&self.wire.field, &mut self.rows, &self.pieces);
-        let contacts = ranges.into_par_iter().map(|range| self.contact(range));
-        self.contacts = contacts.collect::<Result<_, ContactError>>()?;
+        self.contacts = self.contacts(ranges)?;
         let mut all = vec![Contact::default(); self.readings];
         let mut alone = StaticArc::new(self.wire.clone());
         for (n, contact) in self.contacts.iter().enumerate() {
@@ -292,7 +347,9 @@ impl Estimator for KnownMotionTable {
     fn findings(&self) -> Findings {
         let contact = |c: &TableContact| {
             let readings = c.range[1] - c.range[0];
-            ContactDocument::of_table(c.point(), &c.weights.regimes, &c.sliding, c.span_s, readings)
+            let found =
+                ContactDocument::of_table(c.point(), &c.weights.regimes, &c.sliding, c.span_s, readings);
+            ContactDocument { mm_by_gain_percent: Some(c.mm_by_gain()), ..found }
         };
         let document = EstimatorDocument {
             method: Some(Method::KnownMotion),
@@ -305,6 +362,22 @@ impl Estimator for KnownMotionTable {
         let lost = !self.lost.is_empty();
         Findings { document, messages: self.messages(), lost, doubt, ..Findings::default() }
     }
+}
+
+/// How far moments that are larger by 1 % move a contact at a point, median over its readings, mm.
+fn mm_by_gain(
+    field: &MomentField,
+    rows: &[MotionRow],
+    point: &EpisodeEstimate,
+    settings: &Settings,
+) -> Result<f64, ContactError> {
+    let larger = |r: &MotionRow| MotionRow { moment_nmm: r.moment_nmm.map(|m| m * PERCENT), ..r.clone() };
+    let episode = Episode { rows: rows.iter().map(larger).collect(), push: None };
+    let moved = estimate_contact(field, &episode, settings)?;
+    let both = moved.places.iter().zip(&point.places);
+    let mut all: Vec<f64> = both.filter_map(|(a, b)| Some((a.place_mm? - b.place_mm?).norm())).collect();
+    all.sort_by(f64::total_cmp);
+    Ok(all.get(all.len() / 2).copied().unwrap_or(0.0))
 }
 
 /// What of the noise from pose to pose is no noise of a reading, (N mm)^2.

@@ -4,13 +4,17 @@
 //! fixed       at one point of the object                                          (known_motion)
 //! creeping    goes on from it across the push by a share q of the motion, q ~ N(0, c^2) in each direction, c of CREEP_SDS
 //! sliding     over one rigid surface                                              (sliding)
-//! misstated   fixed, but the motion has its sign reversed or the moments are too large or too small by a factor
+//! misstated   any of these, but the motion has its sign reversed or the moments are too large or too small by a factor g
 //! anywhere    the motion says nothing:  p(m) = 1 / (pi M^2),  M = 3 N mm          (arc)
 //!
 //! p(m_1 .. m_n | h) = prod_k p(m_k | m_1 .. m_(k-1), h)      over means of the readings over 0.7 mm of the motion, the same for all
 //! w_h ~ pi_h p(m | h)^T                                      T < 1: readings share the errors of the wire's model
 //! p(s, P | m) = sum_h w_h p(s, P | m, h)
 //! ```
+//!
+//! What is misstated is so in all contacts c of a record: `p(g | m) ~ pi_g prod_c p(m_c | g)`. A point that holds the wire shows g to a tenth or so,
+//! several together to less. One surface takes up any g (simulated sweeps: ln p(m) changes by 2 from 0.8 to 1.5), and a creep nearly so: theirs is
+//! the same for all g.
 //!
 //! Sources: A. P. Dawid, J. R. Stat. Soc. A 147 (1984) 278 (prequential evidence); J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky, Stat.
 //! Sci. 14 (1999) 382 (model averaging).
@@ -28,9 +32,16 @@ pub const CREEP_SDS: [f64; 3] = [0.02, 0.1, 0.4];
 const POWER: f64 = 0.8;
 /// A regime of less weight is left out of what is stated.
 pub const MIN_WEIGHT: f64 = 1e-3;
+/// A mistake is stated from this weight on: a 95 % region need not hold a rarer one, which is far off and would be most of the covariance.
+const MIN_MISTAKE: f64 = 0.05;
 /// Factors by which moments may be misstated: this one's powers up to so many, on both sides of 1; what lies between two is an unknown.
 const FACTOR: f64 = 1.2;
 const FACTORS: i32 = 5;
+/// What is said once of a record with contacts.
+pub(crate) const GAIN: &str = "gain: that of the calibration is taken for as certain as it states it; moments along a motion hardly show an error of it, nor one of \
+     the clock, which an object or a groove that is known does";
+/// Moments that are larger by 1 %, over those that are read.
+pub(crate) const PERCENT: f64 = 1.01;
 /// ln p(m) of a way that is not looked at.
 pub const OUT: f64 = f64::NEG_INFINITY;
 
@@ -97,13 +108,10 @@ impl RegimeWeights {
         if total.is_finite() { Self(all.map(|w| w / total)) } else { *self }
     }
 
-    /// Where a surface explains all blocks of a motion one way: creeping is the first order of sliding over it, straight and steady, and a fixed
-    /// point with moments by another factor has its curve, too; what their few numbers save in evidence says nothing of which it is. The
-    /// surface, which has those courses among others, takes their probability; the reversed motion does not explain it as well.
+    /// Where a surface explains all blocks of a motion one way: creeping is the first order of sliding over it, straight and steady; what its few
+    /// numbers save in evidence says nothing of which it is. The surface, which has that course among others, takes its probability.
     fn of_one_surface(mut self) -> Self {
-        let [creeping, sliding, misstated] =
-            [Regime::Creeping, Regime::Sliding, Regime::Misstated].map(|r| r as usize);
-        self.0[sliding] += std::mem::take(&mut self.0[creeping]) + std::mem::take(&mut self.0[misstated]);
+        self.0[Regime::Sliding as usize] += std::mem::take(&mut self.0[Regime::Creeping as usize]);
         self
     }
 
@@ -172,8 +180,8 @@ pub struct ContactWeights {
     pub regimes: RegimeWeights,
     /// Shares of [`CREEP_SDS`] among those that creep.
     pub creeping: [f64; 3],
-    /// The likeliest misstatement of a fixed point.
-    pub misstatement: Option<Misstatement>,
+    /// The likeliest misstatement, and with it the probabilities of a fixed point and of one that slides.
+    pub misstatement: Option<(Misstatement, [f64; 2])>,
 }
 
 impl ContactWeights {
@@ -186,6 +194,18 @@ impl ContactWeights {
     /// Whether it slides rather than anything else.
     pub fn slides(&self) -> bool {
         self.regimes.of(Regime::Sliding) > 0.5
+    }
+
+    /// Of one that slides, whatever is misstated.
+    pub fn sliding(&self) -> f64 {
+        let misstated = self.misstatement.map_or(0.0, |(_, [_, slides])| slides);
+        self.regimes.of(Regime::Sliding) + self.regimes.of(Regime::Misstated) * misstated
+    }
+
+    /// What is misstated of one that slides, where that is more probable than all else.
+    pub fn misstated_slide(&self) -> Option<Misstatement> {
+        let (misstated, [_, slides]) = self.misstatement?;
+        (self.regimes.of(Regime::Misstated) * slides > 0.5).then_some(misstated)
     }
 
     /// What stays in doubt: moments and motion that do not belong together, by the weights or by what a point leaves (`point_disagrees`), and
@@ -205,9 +225,8 @@ impl ContactWeights {
         let mut all = vec![(own(Regime::Fixed), 0.0, Misstatement::NONE)];
         let creeping = CREEP_SDS.into_iter().zip(self.creeping);
         all.extend(creeping.map(|(sd, share)| (own(Regime::Creeping) * share, sd, Misstatement::NONE)));
-        // What is stated is that of the motion and calibration as they are, unless it is more probable that they are not.
-        let mistaken = self.misstatement.filter(|_| own(Regime::Misstated) > 0.5);
-        all.extend(mistaken.map(|m| (own(Regime::Misstated), 0.0, m)));
+        let mistaken = self.misstatement.map(|(m, [fixed, _])| (own(Regime::Misstated) * fixed, 0.0, m));
+        all.extend(mistaken.filter(|(weight, ..)| *weight > MIN_MISTAKE));
         all
     }
 }
@@ -243,31 +262,82 @@ impl Weighed<'_> {
             - by_factor
     }
 
-    /// Weights from a prior, with ln p(m) of a surface along the motion and along the reversed one; `whole`: the surface explains all blocks.
-    pub fn weights(&self, prior: RegimeWeights, sliding: [f64; 2], whole: bool) -> ContactWeights {
+    /// What the blocks say, with ln p(m) of a surface along the motion and along the reversed one; `whole`: the surface explains all blocks.
+    pub fn evidence(&self, prior: RegimeWeights, sliding: [f64; 2], whole: bool) -> ContactEvidence {
         let creeping = match prior.of(Regime::Creeping) > 0.0 {
             true => CREEP_SDS.map(|sd| self.point(sd, Misstatement::NONE)),
             false => [OUT; 3],
         };
         let fixed = self.point(0.0, Misstatement::NONE);
-        let after = |misstated: f64| {
-            let anywhere = self.blocks.len() as f64 * LN_ANYTHING;
-            let weights = prior.after(&[fixed, ln_mean(&creeping), sliding[0], misstated, anywhere]);
-            if whole { weights.of_one_surface() } else { weights }
-        };
-        let mut all =
-            ContactWeights { regimes: after(sliding[1]), creeping: shares(&creeping), misstatement: None };
-        // Where a fixed point explains the readings as they are, there is nothing to explain by a mistake.
-        if !whole && all.regimes.of(Regime::Fixed) < 0.5 {
-            let each: Vec<(f64, Misstatement)> = Misstatement::all(if self.factors { FACTORS } else { 0 })
-                .map(|m| (self.point(0.0, m), m))
-                .collect();
-            let at_a_point = ln_mean(&each.iter().map(|e| e.0).collect::<Vec<_>>());
-            let best = each.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
-            all.regimes = after(at_a_point.max(sliding[1]));
-            all.misstatement = best.filter(|_| at_a_point > sliding[1]).map(|b| b.1);
+        let anywhere = self.blocks.len() as f64 * LN_ANYTHING;
+        let mut own =
+            ContactEvidence { prior, fixed, creeping, sliding, anywhere, whole, misstated: Vec::new() };
+        // A surface has no point; a stream looks at a mistake where a fixed point does not explain the readings as they are.
+        let fixed_explains = || own.weights(&[]).regimes.of(Regime::Fixed) >= 0.5;
+        if self.factors || !fixed_explains() {
+            let point = |m: Misstatement| if whole { OUT } else { self.point(0.0, m) };
+            let all = Misstatement::all(if self.factors { FACTORS } else { 0 });
+            own.misstated = all.map(|m| (m, point(m))).collect();
         }
-        all
+        own
+    }
+}
+
+/// Most that one contact says for or against what is misstated of a record, natural logarithm: its ways leave out others.
+const MOST_LN: f64 = 30.0;
+
+/// ln p(m) of a contact's blocks by how it moves.
+pub struct ContactEvidence {
+    prior: RegimeWeights,
+    fixed: f64,
+    creeping: [f64; 3],
+    sliding: [f64; 2],
+    anywhere: f64,
+    whole: bool,
+    /// Of a fixed point, by what is misstated.
+    misstated: Vec<(Misstatement, f64)>,
+}
+
+impl ContactEvidence {
+    /// ln p(m) as a fixed point, where it is this one, as one that creeps and as one that slides, each with its prior. Where a surface explains all
+    /// blocks, a point is no other way: with moments by some factor it has the surface's curve, too.
+    fn ways(&self, fixed: f64, reversed: bool) -> [f64; 3] {
+        let total = 1.0 - self.prior.no_motion();
+        let ways = [
+            (Regime::Fixed, if self.whole { OUT } else { fixed }),
+            (Regime::Creeping, if reversed { OUT } else { ln_mean(&self.creeping) }),
+            (Regime::Sliding, self.sliding[usize::from(reversed)]),
+        ];
+        ways.map(|(way, ln)| (self.prior.of(way) / total).ln() + ln)
+    }
+
+    /// The same under each of what may be misstated.
+    fn under(&self) -> impl Iterator<Item = (Misstatement, [f64; 3])> {
+        self.misstated.iter().map(|(m, fixed)| (*m, self.ways(*fixed, m.reversed)))
+    }
+
+    /// ln p(m) under each of what may be misstated, over that of the readings as they are.
+    pub fn of_misstatements(&self) -> Vec<f64> {
+        let stated = ln_sum(&self.ways(self.fixed, false));
+        let over = |ln: f64| if ln == stated { 0.0 } else { (ln - stated).clamp(-MOST_LN, MOST_LN) };
+        self.under().map(|(_, ways)| over(ln_sum(&ways))).collect()
+    }
+
+    /// Weights, with what the other contacts of the record say of what may be misstated.
+    pub fn weights(&self, others: &[f64]) -> ContactWeights {
+        let others = others.iter().copied().chain(std::iter::repeat(0.0));
+        let all: Vec<(f64, Misstatement, [f64; 3])> =
+            self.under().zip(others).map(|((m, ways), others)| (ln_sum(&ways) + others, m, ways)).collect();
+        let misstated = ln_mean(&all.iter().map(|a| a.0).collect::<Vec<_>>());
+        let ways = [self.fixed, ln_mean(&self.creeping), self.sliding[0], misstated, self.anywhere];
+        let regimes = self.prior.after(&ways);
+        let best = all.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+        let shares_of = |ways: [f64; 3]| [ways[0], ways[2]].map(|ln| (ln - ln_sum(&ways)).exp());
+        ContactWeights {
+            regimes: if self.whole { regimes.of_one_surface() } else { regimes },
+            creeping: shares(&self.creeping),
+            misstatement: best.map(|(_, m, ways)| (m, shares_of(ways))),
+        }
     }
 }
 
@@ -278,11 +348,16 @@ fn shares(ln: &[f64; 3]) -> [f64; 3] {
     all.map(|w| w / all.iter().sum::<f64>())
 }
 
-/// Logarithm of the mean of what has these logarithms.
-fn ln_mean(ln: &[f64]) -> f64 {
+/// Logarithm of the sum of what has these logarithms.
+fn ln_sum(ln: &[f64]) -> f64 {
     let best = ln.iter().copied().fold(OUT, f64::max);
-    let mean = ln.iter().map(|l| (l - best).exp()).sum::<f64>() / ln.len() as f64;
-    if best.is_finite() { best + mean.ln() } else { best }
+    let sum: f64 = ln.iter().map(|l| (l - best).exp()).sum();
+    if best.is_finite() { best + sum.ln() } else { OUT }
+}
+
+/// Of their mean; of nothing there is none.
+fn ln_mean(ln: &[f64]) -> f64 {
+    ln_sum(ln) - (ln.len().max(1) as f64).ln()
 }
 
 /// ln p(m) of a contact at or near one point, over blocks of readings; `before` is the last free reading.

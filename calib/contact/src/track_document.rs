@@ -194,6 +194,9 @@ pub struct ContactDocument {
     /// How well the motion predicts a sliding contact.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sliding: Option<Option<SlidingDocument>>,
+    /// How far the contact moves where the calibration's moments are too large by 1 %, which they do not show themselves, mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mm_by_gain_percent: Option<f64>,
 }
 
 impl ContactDocument {
@@ -212,6 +215,7 @@ impl ContactDocument {
             contact: None,
             weights: None,
             sliding: None,
+            mm_by_gain_percent: None,
         }
     }
 

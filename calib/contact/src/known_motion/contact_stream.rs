@@ -12,6 +12,7 @@
 //! An object that retracts past first touch and returns touches the wire at the same point again, as in a table
 //! ([`super::episodes`]).
 
+use super::episodes::{BACK_MM, DIPS, MIN_LOADED};
 use super::{EpisodeContact, Innovations, MomentField, MotionRow, RecursivePosterior, Settings, check_row};
 use crate::ContactError;
 use crate::arc_posterior::{ArcDensity, Region};
@@ -19,15 +20,10 @@ use nalgebra::Vector3;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Free readings before a contact that belong to it, and their smallest distance, mm: readings of one pose say the same.
+/// Free readings before a contact that belong to it, and their smallest distance, mm: readings of one pose say the same, so that fewer than a table's
+/// do.
 const LEAD: usize = 12;
 const LEAD_STEP_MM: f64 = 0.25;
-/// Readings within a contact that may appear free.
-const DIPS: usize = 3;
-/// Fewer loaded readings are no contact.
-const MIN_LOADED: usize = 3;
-/// An object is retracted where it is at most this far past its position at the first load, mm; a longer displacement has a direction.
-const BACK_MM: f64 = 0.3;
 /// Readings of a long hold before any motion that are kept.
 const WAITING: usize = 48;
 

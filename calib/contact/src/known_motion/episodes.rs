@@ -12,13 +12,13 @@ use super::contact_path::{ContactPath, loaded};
 use super::{Episode, MomentField, MotionRow};
 
 /// Free readings before a contact that belong to it.
-const LEAD: usize = 25;
+pub(super) const LEAD: usize = 25;
 /// Readings within a contact that may appear free: the moment passes through zero.
-const DIPS: usize = 3;
+pub(super) const DIPS: usize = 3;
 /// Fewer loaded readings are no contact.
-const MIN_LOADED: usize = 3;
-/// An object is retracted where it is at most this far past its position at the first load, mm.
-const BACK_MM: f64 = 0.3;
+pub(super) const MIN_LOADED: usize = 3;
+/// An object is retracted where it is at most this far past its position at the first load, mm; a longer displacement has a direction.
+pub(super) const BACK_MM: f64 = 0.3;
 
 /// A contact as ranges of readings.
 #[derive(Debug, Clone, PartialEq, Eq)]

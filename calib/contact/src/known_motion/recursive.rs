@@ -33,6 +33,7 @@ mod node;
 
 use super::contact_path::{BEFORE_MM, ContactPath, creep_mm, loaded};
 use super::episode::CorrelatedNoise;
+use super::episodes::LEAD;
 use super::posterior;
 use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings, TABLE_MM};
 use nalgebra::{Matrix2, Rotation3, Vector3};
@@ -91,9 +92,6 @@ fn motion_since(reference: &MotionRow, row: &MotionRow) -> (Rotation3<f64>, Vect
 fn middle(field: &MomentField, (turn, displacement): &(Rotation3<f64>, Vector3<f64>)) -> Vector3<f64> {
     turn * field.free(0.5 * field.length_mm()).0 + displacement
 }
-
-/// Free readings before a contact that bound its onset.
-const LEAD: usize = 25;
 
 /// An episode after all of its readings: its state is constant, so that the last posterior is that of all of them.
 pub(super) struct Finished {

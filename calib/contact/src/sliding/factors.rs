@@ -162,6 +162,11 @@ impl<'a> Chain<'a> {
         }
     }
 
+    /// With all residuals, under a coefficient of friction.
+    pub fn under(&self, friction: f64) -> Self {
+        Self { friction, by_slip: true, heavy: true, ..self.clone() }
+    }
+
     /// The common unknowns before any reading.
     pub fn prior(&self) -> DVector<f64> {
         DVector::zeros(self.shared)

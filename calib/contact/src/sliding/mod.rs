@@ -56,7 +56,7 @@ use first_path::{Candidate, candidates, first_paths};
 use nalgebra::{Matrix3, Vector2};
 use rayon::prelude::*;
 use slips::{LEAPS, parts};
-use smooth::{BlockPosterior, ln_evidence, posterior, smooth};
+use smooth::{BlockPosterior, Smoothed, ln_evidence, mm_by_gain, posterior, smooth};
 use std::ops::Range;
 
 /// Friction coefficients of the hypotheses.
@@ -113,6 +113,8 @@ pub struct SlidingContact {
     pub slips: Vec<usize>,
     /// Whether all parts between slips are explained.
     pub whole: bool,
+    /// How far moments that are larger by 1 % move it, mm; of the part where it is most.
+    pub mm_by_gain: f64,
 }
 
 impl SlidingContact {
@@ -147,6 +149,7 @@ impl SlidingContact {
             gaps: f64::INFINITY,
             slips: Vec::new(),
             whole: false,
+            mm_by_gain: 0.0,
         }
     }
 }
@@ -172,12 +175,27 @@ fn free() -> EpisodeContact {
     EpisodeContact { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, outlier: false }
 }
 
-/// A hypothesis: its sum of squares, ln p(m), what of the sum is of the surface, and its posterior.
+/// A hypothesis: a smoothed path under a coefficient of friction, its ln p(m), what of its sum of squares is of the surface, and its posterior.
 struct Hypothesis {
-    cost: f64,
+    friction: f64,
+    found: Smoothed,
     ln_evidence: f64,
     gaps: f64,
     blocks: Vec<BlockPosterior>,
+}
+
+impl Hypothesis {
+    /// With the posterior at some blocks; none where the sum has no curvature.
+    fn new(chain: &Chain<'_>, (friction, found): (f64, Smoothed), blocks: Range<usize>) -> Option<Self> {
+        let chain = chain.under(friction);
+        let blocks = posterior(&chain, &found, blocks)?;
+        let ln_evidence = ln_evidence(&chain, &found)?;
+        Some(Self { friction, ln_evidence, gaps: chain.gaps(&found.x, &found.common), blocks, found })
+    }
+
+    fn cost(&self) -> f64 {
+        self.found.cost
+    }
 }
 
 /// Tracks a contact over the readings of one episode. Leaps of the moments are slips where that makes the answer sure: each part has a start of
@@ -226,7 +244,8 @@ fn locate_parts(
     all.ln_evidence = [0, 1].map(|k| each().map(|p| p.ln_evidence[k]).sum());
     // Parts that no path explains are anything.
     all.ln_evidence[0] += (all.means.len() - all.predicted) as f64 * LN_ANYTHING;
-    all.gaps = each().map(Part::gaps).fold(0.0, f64::max);
+    all.gaps = each().map(|p| p.best().gaps).fold(0.0, f64::max);
+    all.mm_by_gain = each().map(|p| p.mm_by_gain).fold(0.0, f64::max);
     all.turns_back = turns_back(held);
     all.slips = ranges[1..].iter().map(|r| first + r.start).collect();
     all.whole = found.iter().all(Option::is_some);
@@ -251,6 +270,8 @@ struct Part {
     /// Blocks, and where each reading lies among them.
     count: usize,
     at: Vec<(usize, f64)>,
+    /// Of the best of the hypotheses, see [`SlidingContact`].
+    mm_by_gain: f64,
 }
 
 impl Part {
@@ -262,49 +283,49 @@ impl Part {
             return None;
         }
         let contacts = candidates(wire, &means);
+        let chain = Chain::new(wire, &means, ends);
         let (hypotheses, control) = rayon::join(
-            || hypotheses(&Chain::new(wire, &means, ends), &contacts, &FRICTIONS),
+            || hypotheses(&chain, &contacts, &FRICTIONS),
             || hypotheses(&Chain::new(wire, &reversed(&means), ends), &contacts, &FRICTIONS[..1]),
         );
-        let reversed_cost = control.iter().map(|h| h.cost).fold(f64::INFINITY, f64::min);
-        let hypotheses = of_one_surface(hypotheses, means.len(), |h| h);
+        let reversed_cost = control.iter().map(Hypothesis::cost).fold(f64::INFINITY, f64::min);
+        let hypotheses = of_one_surface(hypotheses, means.len());
         // A surface that leaves more than this explains nothing, whatever its evidence beside worse ones.
         let most = MAX_COST * means.len() as f64;
-        let explains = |h: &&Hypothesis| h.cost <= most;
+        let explains = |h: &&Hypothesis| h.cost() <= most;
         let best = |all: &[Hypothesis]| {
             all.iter().filter(explains).map(|h| h.ln_evidence).fold(f64::NEG_INFINITY, f64::max)
         };
         let ln_evidence = [best(&hypotheses), best(&control)];
         let count = means.len();
-        (!hypotheses.is_empty()).then_some(Self { hypotheses, reversed_cost, ln_evidence, count, at })
+        let mut own = Self { hypotheses, reversed_cost, ln_evidence, count, at, mm_by_gain: 0.0 };
+        let best = (!own.hypotheses.is_empty()).then(|| own.best())?;
+        own.mm_by_gain = mm_by_gain(&chain.under(best.friction), &best.found).unwrap_or(f64::INFINITY);
+        Some(own)
     }
 
     fn best(&self) -> &Hypothesis {
         let first = &self.hypotheses[0];
-        self.hypotheses.iter().fold(first, |a, b| if b.cost < a.cost { b } else { a })
+        self.hypotheses.iter().fold(first, |a, b| if b.cost() < a.cost() { b } else { a })
     }
 
     fn cost(&self) -> f64 {
-        self.best().cost
-    }
-
-    fn gaps(&self) -> f64 {
-        self.best().gaps
+        self.best().cost()
     }
 
     /// What the hypotheses say a share of the way from a block to the next, with their weights.
     fn mixture(&self, (block, share): (usize, f64)) -> Vec<(f64, BlockPosterior)> {
-        let weight = |h: &Hypothesis| (-DISCOUNT * (h.cost - self.cost())).exp();
+        let weight = |h: &Hypothesis| (-DISCOUNT * (h.cost() - self.cost())).exp();
         self.hypotheses.iter().map(|h| (weight(h), between(&h.blocks, block, share))).collect()
     }
 }
 
 /// Without those that go on to another surface, where one without a gap explains the readings: heavy tails make a gap cheap, and a wrong friction
 /// buys one where the motion turns back.
-fn of_one_surface<T>(mut all: Vec<T>, blocks: usize, of: impl Fn(&T) -> &Hypothesis) -> Vec<T> {
+fn of_one_surface(mut all: Vec<Hypothesis>, blocks: usize) -> Vec<Hypothesis> {
     let whole = |h: &Hypothesis| h.gaps <= MAX_GAPS;
-    if all.iter().map(&of).any(|h| whole(h) && h.cost <= SURE_COST * blocks as f64) {
-        all.retain(|h| whole(of(h)));
+    if all.iter().any(|h| whole(h) && h.cost() <= SURE_COST * blocks as f64) {
+        all.retain(whole);
     }
     all
 }
@@ -338,15 +359,8 @@ pub(crate) fn reversed(rows: &[MotionRow]) -> Vec<MotionRow> {
 fn hypotheses(chain: &Chain<'_>, contacts: &[Vec<Candidate>], frictions: &[f64]) -> Vec<Hypothesis> {
     let firsts = first_paths(chain, contacts);
     let one = |path: Vec<_>| {
-        let mut chain = chain.clone();
-        let found = smooth(&mut chain, path, frictions);
-        let both = found.iter().zip(frictions).filter_map(|(found, mu)| {
-            chain.friction = *mu;
-            let gaps = chain.gaps(&found.x, &found.common);
-            let blocks = posterior(&chain, found, 0..found.x.len())?;
-            Some(Hypothesis { cost: found.cost, ln_evidence: ln_evidence(&chain, found)?, gaps, blocks })
-        });
-        both.collect::<Vec<_>>()
+        let found = frictions.iter().copied().zip(smooth(&mut chain.clone(), path, frictions));
+        found.filter_map(|each| Hypothesis::new(chain, each, 0..chain.rows.len())).collect::<Vec<_>>()
     };
     firsts.into_par_iter().flat_map_iter(one).collect()
 }

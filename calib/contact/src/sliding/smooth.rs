@@ -1,7 +1,9 @@
 //! Least squares over the states of all readings, from a first path: Levenberg and Marquardt, first with normal residuals, then with heavy tails.
 
-use super::contact_state::{STATE, State};
+use super::contact_state::{ContactQuantities, STATE, State};
 use super::factors::{Chain, Common, KINDS, Kind};
+use crate::known_motion::MotionRow;
+use crate::regimes::PERCENT;
 use nalgebra::{DVector, Matrix3, SMatrix, Vector3};
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
@@ -132,21 +134,43 @@ pub(super) fn posterior(
 ) -> Option<Vec<BlockPosterior>> {
     let factored = chain.linearise(&found.x, &found.common, Common::Free, &KINDS).factor(0.0)?;
     let of = |k: usize| {
-        let (y, rates) = chain.wire.rates(&found.x[k]);
+        let (y, by_state) = axis_by_state(chain, &found.x[k]);
         let own = factored.covariance(STATE * k, STATE);
         let own = SMatrix::<f64, STATE, STATE>::from_fn(|i, j| own[(i, j)]);
-        let axis_mm = chain.wire.axis_mm(&y);
-        let radius_mm = (axis_mm - y.point_mm()).norm();
-        // Error propagation from the state to the axis: point and normal times the radius.
-        let by_state = rates.fixed_rows::<3>(2) + rates.fixed_rows::<3>(5) * radius_mm;
         let back = chain.rows[k].turn.inverse();
         let turn = back.matrix();
         BlockPosterior {
-            axis_mm: back * (axis_mm - chain.rows[k].moved_mm),
+            axis_mm: back * (chain.wire.axis_mm(&y) - chain.rows[k].moved_mm),
             covariance_mm2: turn * by_state * own * by_state.transpose() * turn.transpose(),
             arclength_mm: y.arclength_mm(),
             sd_mm: own[(0, 0)].max(0.0).sqrt(),
         }
     };
     Some(blocks.map(of).collect())
+}
+
+/// What a contact shows, and the derivative of the wire's axis there by its state.
+fn axis_by_state(chain: &Chain<'_>, x: &State) -> (ContactQuantities, SMatrix<f64, 3, STATE>) {
+    let (y, rates) = chain.wire.rates(x);
+    let radius_mm = (chain.wire.axis_mm(&y) - y.point_mm()).norm();
+    // Error propagation from the state to the axis: point and normal times the radius.
+    (y, rates.fixed_rows::<3>(2) + rates.fixed_rows::<3>(5) * radius_mm)
+}
+
+/// How far moments that are larger by 1 % move the contact, median over the blocks, mm; none where the sum has no curvature.
+pub(super) fn mm_by_gain(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
+    let larger = |r: &MotionRow| MotionRow { moment_nmm: r.moment_nmm.map(|m| m * PERCENT), ..r.clone() };
+    let larger: Vec<MotionRow> = chain.rows.iter().map(larger).collect();
+    let mut chain = chain.clone();
+    let here = chain.linearise(&found.x, &found.common, Common::Held, &KINDS);
+    chain.rows = &larger;
+    let there = chain.linearise(&found.x, &found.common, Common::Held, &KINDS);
+    // At the least sum its gradient stays zero: the states move by the step that undoes what the gain adds to it.
+    let factored = here.factor(0.0)?;
+    let moved = there.step(&factored).0 - here.step(&factored).0;
+    let of =
+        |(k, x): (usize, &State)| (axis_by_state(&chain, x).1 * moved.fixed_rows::<STATE>(STATE * k)).norm();
+    let mut all: Vec<f64> = found.x.iter().enumerate().map(of).collect();
+    all.sort_by(f64::total_cmp);
+    all.get(all.len() / 2).copied()
 }

@@ -10,7 +10,7 @@
 
 use super::blocks::Blocks;
 use super::first_path::{candidates, first_paths};
-use super::smooth::{BlockPosterior, Smoothed, descend, ln_evidence, posterior, smooth};
+use super::smooth::{BlockPosterior, Smoothed, descend, smooth};
 use super::{Chain, Ends, Hypothesis, TouchedWire};
 use super::{DISCOUNT, FRICTIONS, LOST, arc, between, of_one_surface, place};
 use crate::arc_posterior::ArcDensity;
@@ -28,13 +28,6 @@ const MAX_SHARE: f64 = 2.7;
 /// Nothing slips off while it is followed.
 const GOING_ON: Ends = Ends { from_free: true, slips_off: false };
 
-/// A path that is followed.
-struct Path {
-    friction: f64,
-    found: Smoothed,
-    hypothesis: Hypothesis,
-}
-
 /// Follows a contact from its first loaded reading on.
 pub struct SlidingStream {
     wire: TouchedWire,
@@ -42,7 +35,7 @@ pub struct SlidingStream {
     /// Blocks that the paths go through.
     solved: usize,
     search_at: usize,
-    paths: Vec<Path>,
+    paths: Vec<Hypothesis>,
 }
 
 impl SlidingStream {
@@ -67,9 +60,9 @@ impl SlidingStream {
         let step = b.moved_mm - a.moved_mm;
         // Projection on the last step of the motion.
         let share = (row.moved_mm - a.moved_mm).dot(&step) / step.norm_squared().max(1e-12);
-        let best = self.paths.iter().map(|p| p.hypothesis.cost).fold(f64::INFINITY, f64::min);
-        let weight = |p: &Path| (-DISCOUNT * (p.hypothesis.cost - best)).exp();
-        let at = |p: &Path| (weight(p), between(&p.hypothesis.blocks, 0, share.clamp(0.0, MAX_SHARE)));
+        let best = self.paths.iter().map(Hypothesis::cost).fold(f64::INFINITY, f64::min);
+        let weight = |p: &Hypothesis| (-DISCOUNT * (p.cost() - best)).exp();
+        let at = |p: &Hypothesis| (weight(p), between(&p.blocks, 0, share.clamp(0.0, MAX_SHARE)));
         let each: Vec<(f64, BlockPosterior)> = self.paths.iter().map(at).collect();
         if each.is_empty() {
             return None;
@@ -81,7 +74,7 @@ impl SlidingStream {
 
     /// ln p(m) of the blocks so far, and how many they are; none before a path explains them.
     pub fn ln_evidence(&self) -> Option<(f64, usize)> {
-        let best = self.paths.iter().map(|p| p.hypothesis.ln_evidence).fold(f64::NEG_INFINITY, f64::max);
+        let best = self.paths.iter().map(|p| p.ln_evidence).fold(f64::NEG_INFINITY, f64::max);
         best.is_finite().then_some((best, self.solved))
     }
 
@@ -95,21 +88,13 @@ impl SlidingStream {
         } else {
             self.paths.par_iter().map(|p| (p.friction, drawn_on(&chain, p, self.solved))).collect()
         };
-        let path = |(friction, found): (f64, Smoothed)| {
-            let mut chain = chain.clone();
-            (chain.friction, chain.by_slip, chain.heavy) = (friction, true, true);
-            let gaps = chain.gaps(&found.x, &found.common);
-            let last = posterior(&chain, &found, blocks - 2..blocks)?;
-            let ln_evidence = ln_evidence(&chain, &found)?;
-            let hypothesis = Hypothesis { cost: found.cost, ln_evidence, gaps, blocks: last };
-            Some(Path { friction, hypothesis, found })
-        };
-        let mut paths: Vec<Path> = found.into_par_iter().filter_map(path).collect();
-        paths.sort_by(|a, b| a.hypothesis.cost.total_cmp(&b.hypothesis.cost));
-        let best = paths.first().map_or(f64::INFINITY, |p| p.hypothesis.cost);
-        paths.retain(|p| (-DISCOUNT * (p.hypothesis.cost - best)).exp() >= MIN_WEIGHT);
+        let path = |each| Hypothesis::new(&chain, each, blocks - 2..blocks);
+        let mut paths: Vec<Hypothesis> = found.into_par_iter().filter_map(path).collect();
+        paths.sort_by(|a, b| a.cost().total_cmp(&b.cost()));
+        let best = paths.first().map_or(f64::INFINITY, Hypothesis::cost);
+        paths.retain(|p| (-DISCOUNT * (p.cost() - best)).exp() >= MIN_WEIGHT);
         paths.truncate(MAX_PATHS);
-        self.paths = of_one_surface(paths, blocks, |p| &p.hypothesis);
+        self.paths = of_one_surface(paths, blocks);
         self.solved = blocks;
         while self.search_at <= self.solved {
             self.search_at *= 2;
@@ -128,7 +113,7 @@ fn search(chain: &Chain<'_>) -> Vec<(f64, Smoothed)> {
 }
 
 /// A path through the blocks that are new, too.
-fn drawn_on(chain: &Chain<'_>, path: &Path, solved: usize) -> Smoothed {
+fn drawn_on(chain: &Chain<'_>, path: &Hypothesis, solved: usize) -> Smoothed {
     let mut x = path.found.x.clone();
     for row in &chain.rows[solved..] {
         let last = x[x.len() - 1];

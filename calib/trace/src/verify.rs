@@ -12,6 +12,7 @@ pub mod error_summary;
 mod estimate_noise;
 mod evidence;
 mod explained;
+mod fold;
 pub mod judgement;
 mod left_out;
 mod noise_report;

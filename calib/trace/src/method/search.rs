@@ -2,7 +2,7 @@
 //! order in which `verify` calls them for each size.
 
 use super::ambiguity::cox_p_values;
-use super::fit::{Fit, Weights, fit};
+use super::fit::{Fit, Weights};
 use super::hypothesis::{Gate, Hypothesis, NotIdentified, Rejection};
 use super::inference::indistinguishable;
 use super::min_p::f_test;
@@ -405,10 +405,7 @@ fn single_readings(system: &dyn MeasurementModel, h: &Hypothesis) -> bool {
 
 /// The declared model, fitted without readings that stand far out of it.
 pub fn fit_declared_model(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> Option<Hypothesis> {
-    let plain = |weights: &Weights| {
-        let fit = fit(system, &[], weights, 15)?;
-        Some(Hypothesis { fit, weights: weights.clone(), flagged: Vec::new(), flag_p: 1.0 })
-    };
+    let plain = |weights: &Weights| Hypothesis::fitted(system, &[], weights, 15);
     let out =
         if outlier_index(system).is_some() { initial_outliers(system, weights, seed) } else { Vec::new() };
     if out.is_empty() {
@@ -420,12 +417,15 @@ pub fn fit_declared_model(system: &dyn MeasurementModel, weights: &Weights, seed
 
 /// Flags of a model that has changed: a reading that it explains is taken back.
 fn reflag_outliers(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
-    if h.flagged.is_empty() {
+    if h.flagged.is_empty() { h } else { flag_outliers(system, h) }
+}
+
+/// Single readings that stand out of an explanation, whatever was flagged before.
+pub fn flag_outliers(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
+    if outlier_index(system).is_none() {
         return h;
     }
-    reject_outliers(system, &h.fit.terms, &h.fit, &h.weights).unwrap_or_else(|| {
-        let weights = h.weights.unmasked();
-        let refitted = fit(system, &h.fit.terms, &weights, 15);
-        refitted.map_or(h, |fit| Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 })
-    })
+    let (terms, every) = (&h.fit.terms, h.weights.unmasked());
+    let anew = || (every != h.weights).then(|| Hypothesis::fitted(system, terms, &every, 15)).flatten();
+    reject_outliers(system, terms, &h.fit, &h.weights).or_else(anew).unwrap_or(h)
 }

@@ -37,7 +37,7 @@ pub struct Validated<M> {
     /// Its noise.
     pub noise: Noise,
     /// Errors of readings left out in turn.
-    pub left_out: LeftOut,
+    pub left_out: LeftOut<M>,
 }
 
 /// Cross-validates what the search found over whole trajectories, cycles or stimuli; each fold chooses anew among the refitted explanations.
@@ -87,14 +87,14 @@ fn explained<M: SessionModel>(e: Evidence<M>, mut found: SearchResult) -> Result
     let judge = NoiseEstimator::new(&model, options.seed).with_correlated_gain(correlated_gain);
     let base =
         fit_declared_model(&model, &independent(&model), options.seed).ok_or(TraceError::NoSolution)?;
-    let declared_noise = judge.noise(&base, &[]).ok_or(TraceError::NoSolution)?.0;
+    let declared_noise = judge.noise(&base, &[]).ok_or(TraceError::NoSolution)?;
     if exact {
-        let noise = Noise::none(&declared_noise);
+        let noise = Noise::none(declared_noise.weights.len());
         let explained = Explained { found, declared_noise: noise.clone(), noise, exact, tests };
         return Ok((model, explained));
     }
     let nothing = found.best.fit.terms.is_empty() && found.failed_adequacy_test().is_none();
-    let correlated = |h: &Hypothesis| judge.noise(h, &[]).is_some_and(|n| n.0.correlated.is_some());
+    let correlated = |h: &Hypothesis| judge.noise(h, &[]).is_some_and(|n| n.correlated.is_some());
     if nothing
         && correlated(&found.best)
         && let Some(scores) = judge.covariate_scores(&found.best, &plain_test)
@@ -110,7 +110,7 @@ fn explained<M: SessionModel>(e: Evidence<M>, mut found: SearchResult) -> Result
         .and_then(|g| g.covariates.first())
         .map_or(Vec::new(), |d| d.columns.clone());
     let noise = judge.noise(&found.best, &columns).or_else(|| judge.noise(&found.best, &[]));
-    let noise = noise.map_or_else(|| declared_noise.clone(), |n| n.0);
+    let noise = noise.unwrap_or_else(|| declared_noise.clone());
     let mut explained = Explained { found, noise, declared_noise, exact, tests };
     model.complete(&mut explained, &options);
     Ok((model, explained))

@@ -44,7 +44,7 @@ impl<M: SessionModel> Decision<M> {
     }
 
     /// Errors of open readings that were left out in turn.
-    pub fn left_out(&self) -> &LeftOut {
+    pub fn left_out(&self) -> &LeftOut<M> {
         &self.of.left_out
     }
 
@@ -80,7 +80,7 @@ pub fn decide<M: SessionModel>(
     let unfit = unfit.or_else(|| far_above_floor(model, accepted, &left_out.errors, &floor, ABOVE_FLOOR));
     let facts = Facts::of(model, explained, faults);
     let conclusion = facts.conclude(accepted.clone(), *on_request, withdrawn.as_ref(), unfit);
-    let ablations = left_out.ablations(model, &explained.found, accepted, noise);
+    let ablations = left_out.ablations(model, &explained.found, accepted);
     let calibration = model.calibration(&explained.found.base, accepted, noise, floor.sd, seed);
     Ok(Decision { conclusion, floor, ablations, calibration, claims, seed, of })
 }

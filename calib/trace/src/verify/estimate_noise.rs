@@ -48,7 +48,7 @@ pub fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
     }
     let judge = NoiseEstimator::new(&e.model, seed).with_correlated_gain(e.correlated_gain);
     let kept = judge.backward_eliminate(&e.search.best, &e.search.first_test.family);
-    let Some((noise, _)) = judge.noise(&kept, &[]) else { return false };
+    let Some(noise) = judge.noise(&kept, &[]) else { return false };
     let dropped = kept.fit.terms.len() < e.search.best.fit.terms.len();
     let tails_dof = noise.tails.filter(|t| t.heavy).map(|t| t.dof);
     let heavier = tails_dof.is_some() && e.options.tails_dof.is_none() && e.search.is_inadequate();
@@ -83,5 +83,5 @@ fn weights_of<M: SessionModel>(
     let judge = NoiseEstimator::new(model, seed).with_correlated_gain(correlated_gain);
     let weights = independent(model).masked(|i| h.weights.counts(i));
     let refitted = Hypothesis { fit: fit(model, &h.fit.terms, &weights, REFIT_STEPS)?, weights, ..h.clone() };
-    Some(judge.noise(&refitted, &[])?.0.weights.unmasked())
+    Some(judge.noise(&refitted, &[])?.weights.unmasked())
 }

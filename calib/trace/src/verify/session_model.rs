@@ -110,7 +110,7 @@ pub trait SessionText: MeasurementModel {
 
 /// A session as a measurement model: prediction, nuisances and catalogue by [`MeasurementModel`], words by [`SessionText`]; predictions, noise and
 /// checks here.
-pub trait SessionModel: SessionText + Sized {
+pub trait SessionModel: SessionText + Sized + Send {
     /// A row as it was loaded.
     type Row;
     /// Predictions at every reading.

@@ -34,12 +34,11 @@ pub struct Noise {
 }
 
 impl Noise {
-    /// No noise at all, on the readings of `other`.
-    pub fn none(other: &Self) -> Self {
+    /// No noise at all, on `n` readings.
+    pub fn none(n: usize) -> Self {
         let nothing = NoisePart { value: 0.0, interval95: [0.0; 2] };
-        let weights = Weights::independent(vec![1.0; other.weights.relative().len()]);
         Self {
-            weights,
+            weights: Weights::equal(n),
             repeat: nothing,
             pose: None,
             correlated: None,

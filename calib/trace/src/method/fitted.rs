@@ -1,8 +1,9 @@
 //! A fitted model: coefficients, what is left of readings and second witness, and the derivatives there.
 
 use super::linear::stack_with;
-use crate::effect::EffectTerm;
+use crate::effect::{Catalogue, EffectModel, EffectTerm};
 use nalgebra::{DMatrix, DVector};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// How a fit ended.
@@ -53,7 +54,28 @@ pub struct Fit {
     pub status: Status,
 }
 
+/// Where a term stands in a fit.
+pub struct TermSlots {
+    /// Its columns of the design.
+    pub columns: Range<usize>,
+    /// Its values among the nonlinear ones.
+    pub values: Range<usize>,
+}
+
 impl Fit {
+    /// Where each term stands: columns follow the declared model's, values each other, both in the order of the terms.
+    pub fn slots(&self, catalogue: &Catalogue) -> Vec<TermSlots> {
+        let laws: Vec<&EffectModel> = self.terms.iter().map(|t| catalogue[t.effect].law(t.law)).collect();
+        let own: usize = laws.iter().map(|l| l.linear.len()).sum();
+        let (mut column, mut value) = (self.design.ncols().saturating_sub(own), 0);
+        let of = |law: &EffectModel| {
+            let (columns, values) = (column..column + law.linear.len(), value..value + law.parameters.len());
+            (column, value) = (columns.end, values.end);
+            TermSlots { columns, values }
+        };
+        laws.into_iter().map(of).collect()
+    }
+
     /// Residual variance.
     pub fn variance(&self) -> f64 {
         self.ssr / self.dof.max(1.0)
@@ -91,6 +113,12 @@ impl Fit {
             jacobian.set_column(q * channels + j, t);
         }
         jacobian
+    }
+
+    /// Column `j` of the design in each channel, where its coefficient is free.
+    pub fn column_directions(&self, j: usize) -> impl Iterator<Item = DVector<f64>> {
+        let column: Vec<f64> = self.design.column(j).iter().copied().collect();
+        (0..self.residual.ncols()).map(move |c| self.in_channel(&column, c))
     }
 
     /// A column of the readings in channel `channel`, zero elsewhere, in the same order.

@@ -1,11 +1,10 @@
 //! The verdict, written once from what was found on the open readings, in the order of docs/src/formats.md.
 
-use super::acceptance::{Unfit, readable};
+use super::acceptance::{Unfit, format_significant};
 use super::explained::Explained;
 use super::session_model::SessionModel;
 use crate::effect::{EffectTerm, LawRequirement};
 use crate::error::TraceError;
-use crate::levels::REPLICATES;
 use crate::method::hypothesis::{Gate, Hypothesis};
 use crate::method::inference::equivalence_class;
 use crate::method::lack_of_fit::LackOfFit;
@@ -124,7 +123,7 @@ fn removal_p<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis, e
 }
 
 /// Names the effects of `h`; `class` comes from the survivors of its class.
-fn named<M: SessionModel>(
+fn named_effects<M: SessionModel>(
     model: &M,
     found: &SearchResult,
     h: &Hypothesis,
@@ -195,9 +194,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         let all = found.survivors.iter().zip(&same_class).filter(|_| something);
         let rivals = all.filter(|(h, of_class)| rival(h, **of_class)).map(|(h, _)| h.clone()).collect();
         let against_pure_error = model.lack_of_fit(found.accepted()).filter(|_| !explained.exact);
-        let lack = |(l, driver): (LackOfFit, UnknownEffect)| {
-            l.p_value.is_some_and(|p| p < REPLICATES).then_some(driver)
-        };
+        let lack = |(l, driver): (LackOfFit, UnknownEffect)| l.is_significant().then_some(driver);
         Self {
             model,
             explained,
@@ -260,7 +257,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         let mates = found.survivors.iter().zip(&self.same_class).filter(|(_, same)| whole && **same);
         let mates: Vec<&Hypothesis> = mates.map(|(h, _)| h).collect();
         let mut effects =
-            if self.something { named(self.model, found, accepted, &mates) } else { Vec::new() };
+            if self.something { named_effects(self.model, found, accepted, &mates) } else { Vec::new() };
         effects.extend(self.model.noise_effect());
         effects
     }
@@ -310,8 +307,8 @@ impl<'a, M: SessionModel> Facts<'a, M> {
     ) -> Conclusion {
         let unit = self.model.quantities()[0].unit;
         let c = match withdrawn {
-            Some(withdrawn) => self.after_withdrawal(accepted, withdrawn, unit),
-            None => self.as_found(accepted, on_request),
+            Some(withdrawn) => self.from_withdrawal(accepted, withdrawn, unit),
+            None => self.from_search(accepted, on_request),
         };
         match unfit.filter(|_| c.asserts_validity()) {
             Some(unfit) => Conclusion {
@@ -323,7 +320,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         }
     }
 
-    fn as_found(&self, accepted: Hypothesis, on_request: bool) -> Conclusion {
+    fn from_search(&self, accepted: Hypothesis, on_request: bool) -> Conclusion {
         let (model, found) = (self.model, self.found());
         let effects = self.effects(&accepted);
         let verdict = self.verdict(&effects);
@@ -391,17 +388,16 @@ impl<'a, M: SessionModel> Facts<'a, M> {
     }
 
     /// The declared model, where the effects predict worse than it does: they are no explanation, and nothing of them stays.
-    fn after_withdrawal(&self, base: Hypothesis, withdrawn: &Withdrawn, unit: &str) -> Conclusion {
+    fn from_withdrawal(&self, base: Hypothesis, withdrawn: &Withdrawn, unit: &str) -> Conclusion {
         let effects: Vec<NamedEffect> = self.model.noise_effect().into_iter().collect();
-        let [before, after] = withdrawn.errors.map(readable);
+        let [before, after] = withdrawn.errors.map(format_significant);
         let changes = if withdrawn.errors[1] > withdrawn.errors[0] { "rises" } else { "hardly falls" };
         let found = format!(
             "The fitted readings support {}, but the error of readings left out in turn {changes} from {before} to {} with it: not accepted.",
             join(&withdrawn.names),
             format!("{after} {unit}").trim_end()
         );
-        let lack =
-            self.model.lack_of_fit(&base).is_some_and(|(l, _)| l.p_value.is_some_and(|p| p < REPLICATES));
+        let lack = self.model.lack_of_fit(&base).is_some_and(|(l, _)| l.is_significant());
         let (verdict, reason) = if self.found().first_test.generic() || lack {
             let left = "A residual remains that no catalogued effect explains.";
             (Verdict::UnknownEffect, format!("{found} {left}"))

@@ -6,7 +6,7 @@ use super::explained::Explained;
 use super::left_out::{LeftOut, leave_out};
 use super::request::VerifyRequest;
 use super::session_model::SessionModel;
-use super::support::supported;
+use super::support::drop_unsupported;
 use crate::error::TraceError;
 use crate::levels::NEGLIGIBLE;
 use crate::measurement_model::MeasurementModel;
@@ -49,7 +49,7 @@ pub fn cross_validate<M: SessionModel>(
     found: SearchResult,
     request: &VerifyRequest,
 ) -> Result<Validated<M>, TraceError> {
-    let (model, explained) = explained(e, found)?;
+    let (model, explained) = settle_noise(e, found)?;
     let (seed, faults) = (request.search.seed, model.twin_faults());
     let facts = Facts::of(&model, &explained, &faults);
     // What is asked for, else what the data support term by term.
@@ -58,14 +58,14 @@ pub fn cross_validate<M: SessionModel>(
     let mut accepted = match asked {
         Some(chosen) => chosen,
         None if facts.is_ambiguous() => facts.accepted().clone(),
-        None => supported(&model, &explained.found, facts.accepted()),
+        None => drop_unsupported(&model, &explained.found, facts.accepted()),
     };
     let (found, mut noise) = (&explained.found, &explained.noise);
     let mut left_out = leave_out(&model, found, &accepted, noise, on_request, seed);
     // Where each term has earned its gain over whole groups already, pictures among it, the first quantity's error alone says no more.
     let judged = model.cross_validates_terms() || accepted.fit.terms.is_empty() || on_request;
     let may_fall = !judged && facts.asserts(&accepted, on_request);
-    let rise = left_out.not_earned(&model).filter(|_| may_fall);
+    let rise = left_out.insufficient_gain(&model).filter(|_| may_fall);
     let names = |h: &Hypothesis| facts.effects(h).into_iter().map(|e| e.id).collect();
     let withdrawn = rise.map(|errors| Withdrawn { names: names(&accepted), errors });
     if withdrawn.is_some() {
@@ -81,7 +81,10 @@ pub fn cross_validate<M: SessionModel>(
 ///
 /// # Errors
 /// Where the declared model's residuals have no noise.
-fn explained<M: SessionModel>(e: Evidence<M>, mut found: SearchResult) -> Result<(M, Explained), TraceError> {
+fn settle_noise<M: SessionModel>(
+    e: Evidence<M>,
+    mut found: SearchResult,
+) -> Result<(M, Explained), TraceError> {
     let Evidence { model, options, correlated_gain, plain_test, exact, tests, rejections, .. } = e;
     found.rejections.extend(rejections);
     let judge = NoiseEstimator::new(&model, options.seed).with_correlated_gain(correlated_gain);

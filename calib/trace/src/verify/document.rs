@@ -1,6 +1,6 @@
 //! verify.json from what was decided and what the sealed readings say of it.
 
-use super::assessment::{Assessment, filled};
+use super::assessment::{Assessment, fill_missing};
 use super::conclusion::{Conclusion, ids, laws};
 use super::decision::Decision;
 use super::detect;
@@ -9,9 +9,7 @@ use super::left_out::Errors;
 use super::noise_report::{noise_document, noise_sentences};
 use super::session_model::{FloorStatement, SessionModel};
 use crate::method::hypothesis::{Gate, Hypothesis};
-use wcal_core::verify_document::{
-    FlaggedReading, NoiseDocument, TwinCheck, Verdict, VerifyDocument, WitnessTest,
-};
+use wcal_core::verify_document::{FlaggedReading, NoiseDocument, TwinCheck, Verdict, VerifyDocument};
 
 /// The document; session, files and mark are the caller's.
 pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment<M>) -> VerifyDocument {
@@ -29,12 +27,9 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         &found.first_test
     };
     let fit = if std::ptr::eq(test, &found.last_test) { &found.best.fit } else { &found.base.fit };
-    let effects = || conclusion.effects.iter().map(|e| e.id.clone()).collect();
-    let joined = model.joined_witness(found, &conclusion.accepted);
-    let joined = joined.map(|t| WitnessTest { effects: effects(), ..t });
     let in_turn = &of.left_out.errors;
     let errors = match &assessment.errors {
-        Some(sealed) => filled(model, sealed.clone(), in_turn),
+        Some(sealed) => fill_missing(model, sealed.clone(), in_turn),
         None => in_turn.clone(),
     };
     VerifyDocument {
@@ -43,7 +38,7 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         unknown: conclusion.unknown.clone(),
         twin: TwinCheck { faults: of.faults.clone() },
         noise_floor: floor.floor.clone(),
-        flagged: flagged(decision, assessment),
+        flagged: flagged_readings(decision, assessment),
         before: errors.before.clone(),
         after: errors.after.clone(),
         after_trimmed: errors.trimmed.as_ref().and_then(|[_, after]| after.clone()),
@@ -54,7 +49,7 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         notes: notes(model, explained, conclusion, floor, &noise, in_turn),
         leave_one_effect_out: decision.ablations.clone(),
         holdout: assessment.holdout.clone(),
-        tests: explained.tests.iter().cloned().chain(joined).collect(),
+        tests: explained.tests.clone(),
         noise,
         verdict: conclusion.verdict,
         ..VerifyDocument::refused("", model.kind(), reason(model, conclusion, floor, &errors), decision.seed)
@@ -68,7 +63,10 @@ fn reason<M: SessionModel>(model: &M, c: &Conclusion, floor: &FloorStatement, er
 }
 
 /// Readings that count in no fit or no held-out error.
-fn flagged<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment<M>) -> Vec<FlaggedReading> {
+fn flagged_readings<M: SessionModel>(
+    decision: &Decision<M>,
+    assessment: &Assessment<M>,
+) -> Vec<FlaggedReading> {
     let of = |m: &M, i: usize| {
         let origin = m.origin(i);
         FlaggedReading { source: origin.source, point: origin.point }

@@ -110,8 +110,12 @@ fn choose(
     let cost = |k: &usize| tangents[*k].0 / scale + 2.0 * tangents[*k].1;
     nearest.sort_by(|a, b| cost(a).total_cmp(&cost(b)));
     nearest.dedup_by_key(|k| &candidates[*k].fit.terms);
-    let refitted: Vec<Hypothesis> =
-        nearest.into_iter().take(REFITTED).filter_map(|k| refit(candidates[k])).collect();
+    // As in the search: what the kept readings do not determine, or what physics does not allow, is no explanation.
+    let admissible = nearest.iter().filter_map(|k| refit(candidates[*k])).filter(|h| h.is_physical(system));
+    let mut refitted: Vec<Hypothesis> = admissible.take(REFITTED).collect();
+    if refitted.is_empty() {
+        refitted.extend(Hypothesis::fitted(system, &[], weights, steps));
+    }
     let scale = refitted.iter().map(|h| h.fit.variance()).fold(f64::INFINITY, f64::min);
     let cost = |h: &Hypothesis| h.aic(&declared.fit, scale);
     refitted.into_iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))
@@ -126,10 +130,8 @@ fn tangent_squares(h: &Hypothesis, weights: &Weights) -> f64 {
         let seen = DVector::from_fn(seen.len(), |k, _| seen[k] * counts(k));
         stack_with(&linear(&design, &weights.apply(readings)).1, &seen)
     };
-    let mut basis = Basis::default();
-    for (readings, seen) in h.fit.raw_tangents.iter().zip(&h.fit.witness_tangents) {
-        basis.push(&off(readings, seen));
-    }
+    let tangents = h.fit.raw_tangents.iter().zip(&h.fit.witness_tangents);
+    let basis = Basis::of(tangents.map(|(readings, seen)| off(readings, seen)));
     basis.project_off(&off(&h.fit.raw_residual, &h.fit.auxiliary_residual)).norm_squared()
 }
 

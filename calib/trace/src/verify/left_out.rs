@@ -62,7 +62,7 @@ pub struct LeftOut<M> {
 
 impl<M: SessionModel> LeftOut<M> {
     /// Error before and after in the first quantity, where the accepted effects do not earn their names: it rises with them, or falls by less than matters.
-    pub fn not_earned(&self, model: &M) -> Option<[f64; 2]> {
+    pub fn insufficient_gain(&self, model: &M) -> Option<[f64; 2]> {
         let key = model.quantities()[0].key;
         let of = |e: &Option<HeldOutError>| e.as_ref()?.rmse.get(key).copied();
         let (before, after) = (of(&self.errors.before)?, of(&self.errors.after)?);

@@ -4,7 +4,7 @@ use crate::method::noise::Noise;
 use wcal_core::verify_document::{CorrelatedNoise, NoiseDocument, NoiseLaw, NoisePart};
 
 /// Standard deviation of a value that is rounded to a step: uniform over the step.
-fn rounded_sd(step: f64) -> f64 {
+fn rounding_sd(step: f64) -> f64 {
     step / 12f64.sqrt()
 }
 
@@ -12,7 +12,7 @@ fn rounded_sd(step: f64) -> f64 {
 pub fn noise_document(noise: &Noise, session: Option<NoisePart>, unit: &str) -> NoiseDocument {
     let step = noise.step.iter().flatten().copied().fold(0.0, f64::max);
     let rounding =
-        (step > 0.0).then(|| NoisePart { value: rounded_sd(step), interval95: [rounded_sd(step); 2] });
+        (step > 0.0).then(|| NoisePart { value: rounding_sd(step), interval95: [rounding_sd(step); 2] });
     let heavy = noise.tails.filter(|t| t.heavy);
     NoiseDocument {
         repeat: Some(noise.repeat),

@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector};
 
 /// `h` without the terms that are none: beside the others each has to pass the level at which the search names. The least supported one
 /// first; itself where all are.
-pub fn supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Hypothesis {
+pub fn drop_unsupported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Hypothesis {
     let weakest = |kept: &Hypothesis, dropped: Vec<(usize, Hypothesis)>| {
         let judged = dropped.into_iter().map(|d| (d.1.removal_p(&kept.fit, &found.first_test.family), d));
         let none = |(p, (term, _)): &(f64, (usize, Hypothesis))| {
@@ -28,17 +28,14 @@ pub fn supported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesi
 /// cosine of an error whose period is not known exactly do.
 fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> bool {
     let (q, channels) = (fit.design.ncols(), fit.residual.ncols());
-    let laws: Vec<_> = fit.terms.iter().map(|t| model.catalogue()[t.effect].law(t.law)).collect();
-    let own: usize = laws.iter().map(|l| l.linear.len()).sum();
-    // Columns and values follow the terms.
-    let first_column = q - own.min(q) + laws[..term].iter().map(|l| l.linear.len()).sum::<usize>();
-    let first_slot = q * channels + laws[..term].iter().map(|l| l.parameters.len()).sum::<usize>();
-    let linear = (first_column..first_column + laws[term].linear.len())
-        .flat_map(|j| (0..channels).map(move |k| (fit.coefficients[(j, k)], k * q + j)));
-    let values = laws[term].parameters.iter().zip(&fit.terms[term].values).enumerate();
+    let (slots, of) = (&fit.slots(model.catalogue())[term], &fit.terms[term]);
+    let law = model.catalogue()[of.effect].law(of.law);
+    let linear = slots.columns.clone();
+    let linear = linear.flat_map(|j| (0..channels).map(move |k| (fit.coefficients[(j, k)], k * q + j)));
+    let values = law.parameters.iter().zip(of.values.iter().zip(slots.values.clone()));
     let values = values
-        .filter(|(_, (p, _))| matches!(p.role, Role::Amplitude { .. }))
-        .map(|(k, (_, value))| (*value, first_slot + k));
+        .filter(|(p, _)| matches!(p.role, Role::Amplitude { .. }))
+        .map(|(_, (value, k))| (*value, q * channels + k));
     let amplitudes: Vec<(f64, usize)> = linear.chain(values).collect();
     let (n, c) = (amplitudes.len(), covariance(fit, fit.variance()));
     let values = DVector::from_iterator(n, amplitudes.iter().map(|a| a.0));

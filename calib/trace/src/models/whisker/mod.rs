@@ -27,6 +27,7 @@ pub mod seatings;
 pub mod sensitivity;
 mod solve_cache;
 mod stage_clock;
+mod stage_motion;
 pub mod stream;
 pub mod system;
 pub mod tables;
@@ -34,7 +35,6 @@ pub mod temperature;
 pub mod twin_check;
 mod uncertainty;
 pub mod verify;
-mod way;
 mod whisker_effect;
 
 pub use physical::PhysicalModel;

@@ -67,7 +67,7 @@ impl MeasurementModel for WhiskerSystem {
         if self.refuted.iter().any(|id| id == effect.id) {
             return Some("another measurement of this whisker refutes it".to_owned());
         }
-        effect.needs().iter().find_map(|need| self.unmet(*need)).map(str::to_owned)
+        effect.needs().iter().find_map(|need| self.missing_requirement(*need)).map(str::to_owned)
     }
 
     fn groups(&self) -> &[u32] {

@@ -1,5 +1,6 @@
 //! `verify` for kind "whisker": admission of the data, the procedure, and what reports and calibration need of it.
 
+use super::measurement::PicturePairs;
 use super::physical::PhysicalModel;
 use super::predictions::Predictions;
 use super::residual_tables::{Branch, branches};
@@ -65,7 +66,9 @@ pub fn verify_whisker(
     };
     let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
     let model = WhiskerSystem::new(data, &rows)?;
-    let v = match verify(model, sealed, witnesses, request).map_err(|e| e.of_session(session))? {
+    let witnesses: Vec<&dyn Witness<WhiskerSystem>> =
+        witnesses.iter().copied().chain([&PicturePairs as &dyn Witness<WhiskerSystem>]).collect();
+    let v = match verify(model, sealed, &witnesses, request).map_err(|e| e.of_session(session))? {
         Loop::Done(v) => v,
         Loop::Refused(reason) => return refused(reason),
     };

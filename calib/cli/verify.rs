@@ -31,6 +31,7 @@ use wcal_report::ReportInput;
 use wcal_session::{LoadedSession, SessionError, SessionLedger, add_session, attach_holdout, load};
 use wcal_trace::method::options::{Options, ProgressListener};
 use wcal_trace::scalar::{ScalarData, verify_scalar};
+use wcal_trace::verify::conclusion::asserts_validity;
 use wcal_trace::verify::{VerifyRequest, Witness};
 use wcal_trace::whisker::physical::PhysicalModel;
 use wcal_trace::whisker::{Verified, WhiskerSystem, WhiskerVerification, verify_whisker};
@@ -271,12 +272,8 @@ pub fn verify_session(
     if let Some(csv) = predictions {
         out.put("predictions.csv", mark_table(&csv, session.simulated));
     }
-    let verified = match report.verify.verdict {
-        _ if report.verify.holdout.outcome == HoldoutOutcome::Contradicted => false,
-        Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
-        Verdict::Ambiguous => !request.accept.is_empty(),
-        _ => false,
-    };
+    let verified = report.verify.holdout.outcome != HoldoutOutcome::Contradicted
+        && asserts_validity(report.verify.verdict, !request.accept.is_empty());
     if let Some(model) = model.filter(|_| verified) {
         let wire = match &session.data {
             SessionData::Whisker(data) => {
@@ -356,7 +353,7 @@ fn groove_places(
 ) -> anyhow::Result<Vec<Compared>> {
     let readings = 0..system.path.readings.len();
     let way_known = |i: usize| system.path.readings[i].rest || system.row(i).stage_mm.is_some();
-    let accepted = matches!(done.document.verdict, Verdict::Adequate | Verdict::Effect | Verdict::TwinFault);
+    let accepted = asserts_validity(done.document.verdict, false);
     let motion = model.groove_motion(system).filter(|_| accepted && readings.clone().all(way_known));
     let Some(motion) = motion else { return Ok(Vec::new()) };
     let [sealed, _] = system.held_out();

@@ -36,14 +36,12 @@ pub struct Fit {
     pub ssr: f64,
     /// Readings x channels less coefficients and parameters.
     pub dof: f64,
-    /// Tangent of the prediction by each nonlinear parameter, readings x channels each (whitened).
-    pub tangents: Vec<DMatrix<f64>>,
-    /// The same as they are, not whitened.
+    /// Tangent of the whole whitened prediction by each nonlinear parameter: readings channel by channel, then the second witness.
+    pub tangents: Vec<DVector<f64>>,
+    /// Those of the readings as they are, not whitened, readings x channels each.
     pub raw_tangents: Vec<DMatrix<f64>>,
     /// What the second witness leaves, whitened; empty without one.
     pub auxiliary_residual: DVector<f64>,
-    /// Tangents of its prediction by each nonlinear parameter, whitened.
-    pub witness_tangents: Vec<DVector<f64>>,
     /// Reading of each of its values.
     pub auxiliary_readings: Arc<Vec<usize>>,
     /// Values of the second witness that count.
@@ -96,11 +94,6 @@ impl Fit {
         stack_with(&self.residual, &self.auxiliary_residual)
     }
 
-    /// Tangents in the same order.
-    pub fn stacked_tangents(&self) -> Vec<DVector<f64>> {
-        self.tangents.iter().zip(&self.witness_tangents).map(|(t, w)| stack_with(t, w)).collect()
-    }
-
     /// Derivatives of the whole whitened prediction: by the coefficients channel by channel, then by the nonlinear values.
     pub fn jacobian(&self) -> DMatrix<f64> {
         let ((n, q), channels, m) = (self.design.shape(), self.residual.ncols(), self.tangents.len());
@@ -109,7 +102,7 @@ impl Fit {
         for c in 0..channels {
             jacobian.view_mut((c * n, c * q), (n, q)).copy_from(&self.design);
         }
-        for (j, t) in self.stacked_tangents().iter().enumerate() {
+        for (j, t) in self.tangents.iter().enumerate() {
             jacobian.set_column(q * channels + j, t);
         }
         jacobian

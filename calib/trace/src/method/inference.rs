@@ -142,13 +142,12 @@ pub fn indistinguishable(
 /// terms that `b` has, too.
 fn common_effects(system: &dyn MeasurementModel, base: &Hypothesis, a: &Hypothesis, b: &Hypothesis) -> Basis {
     let declared = nuisance_basis(&base.fit);
-    let tangents = a.fit.stacked_tangents();
     let key = |t: &EffectTerm| t.key(system.catalogue());
     let all = a.fit.terms.iter().zip(a.fit.slots(system.catalogue()));
     let shared = all.filter(|(term, _)| b.fit.terms.iter().any(|t| key(t) == key(term)));
     let directions = shared.flat_map(|(_, slots)| {
         let columns = slots.columns.flat_map(|j| a.fit.column_directions(j));
-        columns.chain(tangents[slots.values].iter().cloned())
+        columns.chain(a.fit.tangents[slots.values].iter().cloned())
     });
     Basis::of(directions.map(|v| declared.project_off(&v)))
 }

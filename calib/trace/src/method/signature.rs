@@ -38,7 +38,7 @@ pub fn nuisance_basis(fit: &Fit) -> Basis {
 /// The same without the columns `left_out` of the design.
 pub fn nuisance_basis_without(fit: &Fit, left_out: &Range<usize>) -> Basis {
     let columns = (0..fit.design.ncols()).filter(|j| !left_out.contains(j));
-    Basis::of(columns.flat_map(|j| fit.column_directions(j)).chain(fit.stacked_tangents()))
+    Basis::of(columns.flat_map(|j| fit.column_directions(j)).chain(fit.tangents.iter().cloned()))
 }
 
 /// All points of a law's shape grids, amplitudes at zero.

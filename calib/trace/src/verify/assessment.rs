@@ -225,7 +225,7 @@ pub fn holdout_p<M: SessionModel>(
         return None;
     }
     // All channels share one law of the noise.
-    let own = noise.weights_of(&whole.noise_inputs(), true).covariance(&rows);
+    let own = noise.at_upper_ends().weights_of(&whole.noise_inputs()).covariance(&rows);
     let own = DMatrix::from_fn(count, count, |a, b| {
         if a % channels == b % channels { own[(a / channels, b / channels)] } else { 0.0 }
     });
@@ -249,8 +249,8 @@ fn shared_noise<M: SessionModel>(whole: &M, flagged: &[usize], noise: &Noise) ->
     let rows: Vec<usize> = (0..whole.scored().len()).filter(counts).collect();
     let step = rows.len().div_ceil(MAX_DENSE).max(1);
     let rows: Vec<usize> = rows.into_iter().step_by(step).collect();
-    let covariance = |upper: bool| noise.weights_of(&whole.noise_inputs(), upper).covariance(&rows);
-    let (c, estimated) = (covariance(true), covariance(false));
+    let covariance = |noise: &Noise| noise.weights_of(&whole.noise_inputs()).covariance(&rows);
+    let (c, estimated) = (covariance(&noise.at_upper_ends()), covariance(noise));
     SharedNoise {
         independent: c.trace().powi(2) / c.norm_squared(),
         widening: (c.trace() / estimated.trace()).max(1.0).sqrt(),

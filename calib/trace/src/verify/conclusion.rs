@@ -33,14 +33,8 @@ pub struct Conclusion {
     pub on_request: bool,
 }
 
-impl Conclusion {
-    /// Whether it says that the accepted model holds.
-    pub fn asserts_validity(&self) -> bool {
-        asserts(self.verdict, self.on_request)
-    }
-}
-
-fn asserts(verdict: Verdict, on_request: bool) -> bool {
+/// Whether a verdict says that the accepted model holds; one of several explanations does so where it was accepted by request.
+pub fn asserts_validity(verdict: Verdict, on_request: bool) -> bool {
     match verdict {
         Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
         Verdict::Ambiguous => on_request,
@@ -247,7 +241,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
 
     /// Whether the verdict says that `accepted` holds, as far as fitted readings tell.
     pub fn asserts(&self, accepted: &Hypothesis, on_request: bool) -> bool {
-        asserts(self.verdict(&self.effects(accepted)), on_request)
+        asserts_validity(self.verdict(&self.effects(accepted)), on_request)
     }
 
     /// The names that a conclusion on `accepted` would list.
@@ -310,7 +304,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             Some(withdrawn) => self.from_withdrawal(accepted, withdrawn, unit),
             None => self.from_search(accepted, on_request),
         };
-        match unfit.filter(|_| c.asserts_validity()) {
+        match unfit.filter(|_| asserts_validity(c.verdict, c.on_request)) {
             Some(unfit) => Conclusion {
                 verdict: Verdict::UnknownEffect,
                 reason: format!("{} {}", unfit.sentence(unit), c.reason),

@@ -125,14 +125,15 @@ fn choose(
 fn tangent_squares(h: &Hypothesis, weights: &Weights) -> f64 {
     let design = weights.apply(&h.fit.raw_design);
     // What the coefficients cannot take up; of the second witness what belongs to readings that count.
-    let off = |readings: &DMatrix<f64>, seen: &DVector<f64>| {
+    let size = h.fit.residual.len();
+    let off = |readings: &DMatrix<f64>, whole: &DVector<f64>| {
         let counts = |k: usize| f64::from(u8::from(weights.counts(h.fit.auxiliary_readings[k])));
-        let seen = DVector::from_fn(seen.len(), |k, _| seen[k] * counts(k));
+        let seen = DVector::from_fn(whole.len() - size, |k, _| whole[size + k] * counts(k));
         stack_with(&linear(&design, &weights.apply(readings)).1, &seen)
     };
-    let tangents = h.fit.raw_tangents.iter().zip(&h.fit.witness_tangents);
-    let basis = Basis::of(tangents.map(|(readings, seen)| off(readings, seen)));
-    basis.project_off(&off(&h.fit.raw_residual, &h.fit.auxiliary_residual)).norm_squared()
+    let tangents = h.fit.raw_tangents.iter().zip(&h.fit.tangents);
+    let basis = Basis::of(tangents.map(|(readings, whole)| off(readings, whole)));
+    basis.project_off(&off(&h.fit.raw_residual, &h.fit.stacked())).norm_squared()
 }
 
 #[cfg(test)]

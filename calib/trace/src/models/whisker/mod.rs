@@ -2,7 +2,6 @@
 
 mod admission;
 mod branch_cache;
-mod branch_start;
 mod covariates;
 pub mod effects;
 pub mod floor;
@@ -20,7 +19,6 @@ pub mod plan_check;
 mod predicted_pictures;
 pub mod predictions;
 mod readings_model;
-pub mod residual_tables;
 pub mod rod_parameters;
 pub mod rod_tables;
 pub mod seatings;

@@ -1,4 +1,4 @@
-//! From a pair of shapes.json to what is observe, its own errors and the derivatives by what all pairs share (`pictures`).
+//! From a pair of shapes.json to what is observed, its own errors and the derivatives by what all pairs share (`pictures`).
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use std::sync::Arc;

@@ -3,7 +3,7 @@
 use super::measurement::PicturePairs;
 use super::physical::PhysicalModel;
 use super::predictions::Predictions;
-use super::residual_tables::{Branch, branches};
+use super::rod_parameters::RodParameters;
 use super::system::WhiskerSystem;
 use super::twin_check::{LabelReport, check_labels};
 use crate::error::TraceError;
@@ -12,6 +12,9 @@ use crate::verify::{Verified as Loop, VerifyRequest, Witness, verify};
 use wcal_core::observation::{WhiskerData, WhiskerRow};
 use wcal_core::verify_document::{HeldOutError, VerifyDocument};
 use wcal_core::{InputFile, ResidualRecord, Sealed};
+
+/// Trajectory, stage positions (mm) and moments (N mm) of the rod's branch.
+pub type Branch = (u32, Vec<f64>, Vec<[f64; 2]>);
 
 /// Everything that `verify` found.
 pub struct WhiskerVerification {
@@ -87,4 +90,25 @@ pub fn verify_whisker(
         found: v.decision.explained().found.clone(),
         whole: v.assessment.whole,
     })))
+}
+
+/// The rod's branch along each trajectory, as far as the readings reach.
+fn branches(system: &WhiskerSystem) -> Vec<Branch> {
+    let Some(tables) = system.rod_tables.tables(&RodParameters::default()) else {
+        return Vec::new();
+    };
+    system
+        .data
+        .trajectories
+        .iter()
+        .zip(tables.iter())
+        .zip(&system.path.reach_mm)
+        .filter(|(_, reach)| **reach > 0.0)
+        .map(|((t, table), reach)| {
+            let xs: Vec<f64> = (0..=60).map(|k| reach * f64::from(k) / 60.0).collect();
+            let kept: Vec<(f64, [f64; 2])> =
+                xs.iter().filter_map(|x| Some((*x, table.moment(*x)?))).collect();
+            (t.id, kept.iter().map(|k| k.0).collect(), kept.iter().map(|k| k.1).collect())
+        })
+        .collect()
 }

@@ -316,21 +316,21 @@ fn of_whisker_session(
     let on_request = !request.accept.is_empty();
     let mut report = of_whisker(session, (data, count), &done, on_request, provenance);
     // What the calibration says of contacts comes from the readings that it was fitted to; the sealed ones show whether it is true.
-    let own = groove_places(&done, &done.model, (&done.open, "fit"))?;
+    let (calibration, open) = (done.decision.calibration(), done.decision.model());
+    let whole = &done.assessment.whole;
+    let own = groove_places(&done, calibration, (open, "fit"))?;
     let contact = groove_comparison::groove_tracking(&own, "fit")
         .as_ref()
         .and_then(groove_comparison::calibration_contact);
-    let split = if count > 0 { (&done.whole, "holdout") } else { (&done.open, "fit") };
-    let after = if count > 0 { groove_places(&done, &done.model, split)? } else { own };
-    let before = groove_places(&done, &done.declared, split)?;
+    let split = if count > 0 { (whole, "holdout") } else { (open, "fit") };
+    let after = if count > 0 { groove_places(&done, calibration, split)? } else { own };
+    let before = groove_places(&done, &done.decision.declared_calibration(), split)?;
     report.verify.contact = groove_comparison::contact_comparison(&before, &after);
     report.verify.groove_tracking = groove_comparison::groove_tracking(&after, split.1);
     Ok(Outcome {
-        judged: given
-            .map(|g| g.judge(SessionSystem::Whisker(&done.whole), request.search.seed))
-            .transpose()?,
+        judged: given.map(|g| g.judge(SessionSystem::Whisker(whole), request.search.seed)).transpose()?,
         predictions: Some(predictions_csv(&done)?),
-        model: Some(CalibrationModel::Physical(done.model.clone())),
+        model: Some(CalibrationModel::Physical(calibration.clone())),
         contact,
         report,
     })

@@ -4,10 +4,10 @@
 use super::fit::Fit;
 use super::min_p::f_test;
 use super::signature::nuisance_basis_without;
-use super::socp::minimise;
 use crate::levels::RANGE;
 use crate::measurement_model::MeasurementModel;
-use clarabel::solver::SupportedConeT;
+use clarabel::algebra::CscMatrix;
+use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, SolverStatus, SupportedConeT};
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
@@ -77,9 +77,39 @@ fn rise_under_bound(
             }
         }
     }
-    let cones = [SupportedConeT::NonnegativeConeT(rows.len())];
     let linear: Vec<f64> = linear.iter().map(|x| x / scale).collect();
-    let held = DVector::from_vec(minimise(&gram, &linear, &rows, &bounds, &cones)?) * scale;
+    let held = DVector::from_vec(minimise(&gram, &linear, &rows, &bounds)?) * scale;
     let change = held - start;
     Some((&gram * &change).dot(&change))
+}
+
+/// The x of least `1/2 x' P x + q' x` where no row of `rows x` exceeds its bound (interior point); none where the solver gives up.
+fn minimise(
+    quadratic: &DMatrix<f64>,
+    linear: &[f64],
+    rows: &[Vec<(usize, f64)>],
+    bounds: &[f64],
+) -> Option<Vec<f64>> {
+    let n = linear.len();
+    let upper: Vec<Vec<(usize, f64)>> =
+        (0..n).map(|i| (i..n).map(|j| (j, quadratic[(i, j)])).filter(|e| e.1 != 0.0).collect()).collect();
+    let (p, a) = (sparse(&upper, n, n), sparse(rows, rows.len(), n));
+    let cones = [SupportedConeT::NonnegativeConeT(rows.len())];
+    let settings = DefaultSettings { verbose: false, ..DefaultSettings::default() };
+    let mut solver = DefaultSolver::new(&p, linear, &a, bounds, &cones, settings).ok()?;
+    solver.solve();
+    let solved = matches!(solver.solution.status, SolverStatus::Solved | SolverStatus::AlmostSolved);
+    solved.then(|| solver.solution.x.clone())
+}
+
+fn sparse(rows: &[Vec<(usize, f64)>], height: usize, width: usize) -> CscMatrix<f64> {
+    let (mut i, mut j, mut v) = (Vec::new(), Vec::new(), Vec::new());
+    for (r, row) in rows.iter().enumerate() {
+        for (c, x) in row {
+            i.push(r);
+            j.push(*c);
+            v.push(*x);
+        }
+    }
+    CscMatrix::new_from_triplets(height, width, i, j, v)
 }

@@ -6,18 +6,22 @@ use super::explained::Explained;
 use super::left_out::{LeftOut, leave_out};
 use super::request::VerifyRequest;
 use super::session_model::SessionModel;
-use super::support::drop_unsupported;
+use crate::effect::Role;
 use crate::error::TraceError;
-use crate::levels::NEGLIGIBLE;
+use crate::levels::{CATALOGUE, NEGLIGIBLE};
 use crate::measurement_model::MeasurementModel;
 use crate::method::cross_validated_gain::retain_cross_validated;
+use crate::method::distributions::f_tail;
+use crate::method::fit::Fit;
 use crate::method::hypothesis::{Gate, Hypothesis, Rejection};
+use crate::method::inference::covariance;
 use crate::method::noise::Noise;
 use crate::method::noise_estimator::NoiseEstimator;
 use crate::method::omnibus::omnibus_test;
 use crate::method::options::Options;
 use crate::method::search::fit_declared_model;
 use crate::method::search_result::SearchResult;
+use nalgebra::{DMatrix, DVector};
 use wcal_core::verify_document::TwinFault;
 
 /// An explanation that readings left out in turn bear out.
@@ -139,4 +143,38 @@ fn withdraw_below_model_error(system: &dyn MeasurementModel, found: &mut SearchR
         found.rejections.push(Rejection { effects: names, gate: Gate::LeftOutError, why: String::new() });
     }
     found.last_test.within_model_error = small;
+}
+
+/// `h` without the terms that are none: beside the others each has to pass the level at which the search names. The least supported one
+/// first; itself where all are.
+fn drop_unsupported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Hypothesis {
+    let weakest = |kept: &Hypothesis, dropped: Vec<(usize, Hypothesis)>| {
+        let judged = dropped.into_iter().map(|d| (d.1.removal_p(&kept.fit, &found.first_test.family), d));
+        let none = |(p, (term, _)): &(f64, (usize, Hypothesis))| {
+            *p >= CATALOGUE || amplitudes_hold_zero(model, &kept.fit, *term)
+        };
+        judged.filter(none).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, d)| d)
+    };
+    h.eliminate(model, weakest).0
+}
+
+/// The joint 95 % region of a term's amplitudes, linear coefficients among them, holds zero (Wald). Each by itself may well hold it: sine and
+/// cosine of an error whose period is not known exactly do.
+fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> bool {
+    let (q, channels) = (fit.design.ncols(), fit.residual.ncols());
+    let (slots, of) = (&fit.slots(model.catalogue())[term], &fit.terms[term]);
+    let law = model.catalogue()[of.effect].law(of.law);
+    let linear = slots.columns.clone();
+    let linear = linear.flat_map(|j| (0..channels).map(move |k| (fit.coefficients[(j, k)], k * q + j)));
+    let values = law.parameters.iter().zip(of.values.iter().zip(slots.values.clone()));
+    let values = values
+        .filter(|(p, _)| matches!(p.role, Role::Amplitude { .. }))
+        .map(|(_, (value, k))| (*value, q * channels + k));
+    let amplitudes: Vec<(f64, usize)> = linear.chain(values).collect();
+    let (n, c) = (amplitudes.len(), covariance(fit, fit.variance()));
+    let values = DVector::from_iterator(n, amplitudes.iter().map(|a| a.0));
+    let spread = DMatrix::from_fn(n, n, |i, j| c[(amplitudes[i].1, amplitudes[j].1)]);
+    let Some(factor) = spread.cholesky() else { return true };
+    let f = values.dot(&factor.solve(&values)) / n as f64;
+    f_tail(f, [n as f64, fit.dof]).is_none_or(|p| p >= 0.05)
 }

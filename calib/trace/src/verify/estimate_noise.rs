@@ -6,7 +6,7 @@ use super::session_model::SessionModel;
 use crate::error::TraceError;
 use crate::measurement_model::MeasurementModel;
 use crate::method::admissible::REFIT_STEPS;
-use crate::method::fit::{Weights, fit};
+use crate::method::fit::Weights;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::CORRELATED_PRICE;
 use crate::method::noise_estimator::{NoiseEstimator, same_whitening};
@@ -82,6 +82,6 @@ fn weights_of<M: SessionModel>(
 ) -> Option<Weights> {
     let judge = NoiseEstimator::new(model, seed).with_correlated_gain(correlated_gain);
     let weights = independent(model).masked(|i| h.weights.counts(i));
-    let refitted = Hypothesis { fit: fit(model, &h.fit.terms, &weights, REFIT_STEPS)?, weights, ..h.clone() };
+    let refitted = Hypothesis::fitted(model, &h.fit.terms, &weights, REFIT_STEPS)?;
     Some(judge.noise(&refitted, &[])?.weights.unmasked())
 }

@@ -16,7 +16,6 @@ pub mod physical;
 mod picture_observations;
 pub mod pictures;
 pub mod plan_check;
-mod predicted_pictures;
 pub mod predictions;
 mod readings_model;
 pub mod rod_parameters;

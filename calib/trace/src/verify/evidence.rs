@@ -47,7 +47,7 @@ impl<M: SessionModel> Evidence<M> {
     pub fn new(model: M, options: Options) -> Result<Self, TraceError> {
         let weights = independent(&model);
         let search = Search::new(&model, &weights, &options).ok_or(TraceError::NoSolution)?;
-        let (plain_test, correlated_gain) = (search.first_test.clone(), correlated_gain());
+        let (plain_test, correlated_gain) = (search.found.first_test.clone(), correlated_gain());
         Ok(Self {
             model,
             options,

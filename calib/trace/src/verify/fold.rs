@@ -20,8 +20,6 @@ use nalgebra::{DMatrix, DVector};
 
 /// Explanations that are refitted in a fold: what tangents promise far from their point a refit need not keep.
 const REFITTED: usize = 2;
-/// Estimates of the noise, each under the explanation that was chosen under the one before.
-const ROUNDS: usize = 2;
 
 /// A fold of the cross-validation.
 pub struct Fold<M> {
@@ -76,17 +74,25 @@ fn explain_kept(
     seed: u64,
 ) -> Option<(Hypothesis, Hypothesis, Noise)> {
     let judge = NoiseEstimator::new(system, seed).without(left_out);
-    let declared = fit_declared_model(system, &judge.independent(), seed)?;
-    let mut weights = declared.weights.clone();
-    let mut last = None;
-    for _ in 0..ROUNDS {
-        let chosen = flag_outliers(system, choose(system, candidates, &declared, &weights, steps)?);
-        let noise = judge.noise(&chosen, &[]).unwrap_or_else(|| Noise::none(weights.len()));
-        weights = noise.weights.masked(|i| chosen.weights.counts(i));
-        last = Some((chosen, noise));
-    }
-    let (chosen, noise) = last?;
+    let every = judge.independent();
+    let declared = fit_declared_model(system, &every, seed)?;
+    let chosen = |weights: &Weights| {
+        Some(flag_outliers(system, choose(system, candidates, &declared, weights, steps)?))
+    };
+    let noise = |h: &Hypothesis| judge.noise(h, &[]).unwrap_or_else(|| Noise::none(every.len()));
+    // Readings that stand out of the declared model may be what an effect does: with and without them, flags at their price.
+    let without = (declared.weights != every).then(|| chosen(&declared.weights)).flatten();
+    let start = least_aic(chosen(&every).into_iter().chain(without).collect(), &declared)?;
+    let chosen = chosen(&noise(&start).weights.masked(|i| start.weights.counts(i)))?;
+    let noise = noise(&chosen);
     Some((declared, chosen, noise))
+}
+
+/// The one with the least criterion.
+fn least_aic(all: Vec<Hypothesis>, declared: &Hypothesis) -> Option<Hypothesis> {
+    let scale = all.iter().map(|h| h.fit.variance()).fold(f64::INFINITY, f64::min);
+    let cost = |h: &Hypothesis| h.aic(&declared.fit, scale);
+    all.into_iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))
 }
 
 /// The explanation that the readings of `weights` choose among `candidates`.
@@ -116,9 +122,7 @@ fn choose(
     if refitted.is_empty() {
         refitted.extend(Hypothesis::fitted(system, &[], weights, steps));
     }
-    let scale = refitted.iter().map(|h| h.fit.variance()).fold(f64::INFINITY, f64::min);
-    let cost = |h: &Hypothesis| h.aic(&declared.fit, scale);
-    refitted.into_iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))
+    least_aic(refitted, declared)
 }
 
 /// Squares that `h` leaves of the readings of `weights`, in its tangent model.

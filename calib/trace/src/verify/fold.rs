@@ -21,6 +21,10 @@ use nalgebra::{DMatrix, DVector};
 /// Explanations that are refitted in a fold: what tangents promise far from their point a refit need not keep.
 const REFITTED: usize = 2;
 
+/// Difference of the criterion within which two fits are one to the iteration's end: two laws that the kept readings do not tell apart, as where they
+/// have two loads only. The first candidate stands, which is the one that all readings accept.
+const TIED: f64 = 0.05;
+
 /// A fold of the cross-validation.
 pub struct Fold<M> {
     /// The instrument, where the kept readings show another one than all readings do.
@@ -88,11 +92,12 @@ fn explain_kept(
     Some((declared, chosen, noise))
 }
 
-/// The one with the least criterion.
+/// The one with the least criterion, the first of those that are tied.
 fn least_aic(all: Vec<Hypothesis>, declared: &Hypothesis) -> Option<Hypothesis> {
-    let scale = all.iter().map(|h| h.fit.variance()).fold(f64::INFINITY, f64::min);
+    let scale = all.iter().map(|h| h.fit.variance()).fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE);
     let cost = |h: &Hypothesis| h.aic(&declared.fit, scale);
-    all.into_iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))
+    let least = all.iter().map(cost).fold(f64::INFINITY, f64::min);
+    all.into_iter().find(|h| cost(h) <= least + TIED)
 }
 
 /// The explanation that the readings of `weights` choose among `candidates`.
@@ -117,8 +122,10 @@ fn choose(
     nearest.sort_by(|a, b| cost(a).total_cmp(&cost(b)));
     nearest.dedup_by_key(|k| &candidates[*k].fit.terms);
     // As in the search: what the kept readings do not determine, or what physics does not allow, is no explanation.
-    let admissible = nearest.iter().filter_map(|k| refit(candidates[*k])).filter(|h| h.is_physical(system));
-    let mut refitted: Vec<Hypothesis> = admissible.take(REFITTED).collect();
+    let refitted = nearest.into_iter().filter_map(|k| Some((k, refit(candidates[k])?)));
+    let mut admissible: Vec<_> = refitted.filter(|(_, h)| h.is_physical(system)).take(REFITTED).collect();
+    admissible.sort_by_key(|(k, _)| *k);
+    let mut refitted: Vec<Hypothesis> = admissible.into_iter().map(|(_, h)| h).collect();
     if refitted.is_empty() {
         refitted.extend(Hypothesis::fitted(system, &[], weights, steps));
     }

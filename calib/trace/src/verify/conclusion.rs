@@ -301,8 +301,8 @@ impl<'a, M: SessionModel> Facts<'a, M> {
     ) -> Conclusion {
         let unit = self.model.quantities()[0].unit;
         let c = match withdrawn {
-            Some(withdrawn) => self.from_withdrawal(accepted, withdrawn, unit),
-            None => self.from_search(accepted, on_request),
+            Some(withdrawn) => self.conclude_withdrawal(accepted, withdrawn, unit),
+            None => self.conclude_search(accepted, on_request),
         };
         match unfit.filter(|_| asserts_validity(c.verdict, c.on_request)) {
             Some(unfit) => Conclusion {
@@ -314,7 +314,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         }
     }
 
-    fn from_search(&self, accepted: Hypothesis, on_request: bool) -> Conclusion {
+    fn conclude_search(&self, accepted: Hypothesis, on_request: bool) -> Conclusion {
         let (model, found) = (self.model, self.found());
         let effects = self.effects(&accepted);
         let verdict = self.verdict(&effects);
@@ -382,7 +382,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
     }
 
     /// The declared model, where the effects predict worse than it does: they are no explanation, and nothing of them stays.
-    fn from_withdrawal(&self, base: Hypothesis, withdrawn: &Withdrawn, unit: &str) -> Conclusion {
+    fn conclude_withdrawal(&self, base: Hypothesis, withdrawn: &Withdrawn, unit: &str) -> Conclusion {
         let effects: Vec<NamedEffect> = self.model.noise_effect().into_iter().collect();
         let [before, after] = withdrawn.errors.map(format_significant);
         let changes = if withdrawn.errors[1] > withdrawn.errors[0] { "rises" } else { "hardly falls" };

@@ -77,7 +77,7 @@ impl<M: SessionModel> LeftOut<M> {
         let error = |h: &Hypothesis| {
             let of =
                 |m: &M, fold: &Fold<M>| m.predict(&fold.refit(m, &h.fit.terms, steps)?, &fold.reading_sd);
-            let rows = self.rows(model, |i| accepted.weights.counts(i), &of);
+            let rows = self.rows(model, |i| accepted.weights.counts(i), of);
             Some(rmse(&rows, 0)).filter(|e| e.is_finite())
         };
         let with = if effects.is_empty() { None } else { error(accepted) };
@@ -99,7 +99,7 @@ impl<M: SessionModel> LeftOut<M> {
         &self,
         model: &M,
         scored: impl Fn(usize) -> bool + Sync,
-        predicted: &(dyn Fn(&M, &Fold<M>) -> Option<M::Predictions> + Sync),
+        predicted: impl Fn(&M, &Fold<M>) -> Option<M::Predictions> + Sync,
     ) -> Vec<HeldOut> {
         let of_fold = |(f, fold): (usize, &Option<Fold<M>>)| {
             let Some(fold) = fold else { return Vec::new() };
@@ -139,9 +139,9 @@ pub fn leave_out<M: SessionModel>(
     let labels = |m: &M, fold: &Fold<M>| m.predict_by_labels(&fold.declared(m, steps)?.weights);
     let chosen = |m: &M, fold: &Fold<M>| m.predict(&fold.chosen, &fold.reading_sd);
     let sum = |rows: &[HeldOut]| summarise(rows, model.quantities(), left_out.split.split, seed);
-    let after = left_out.rows(model, counts, &chosen);
-    let repaired = sum(&left_out.rows(model, counts, &declared));
-    let by_twin = sum(&left_out.rows(model, counts, &labels));
+    let after = left_out.rows(model, counts, chosen);
+    let repaired = sum(&left_out.rows(model, counts, declared));
+    let by_twin = sum(&left_out.rows(model, counts, labels));
     let mut further = Vec::new();
     if let (Some(_), Some(e)) = (&by_twin, &repaired) {
         further.push(("declared model, labels repaired by the rod".to_owned(), e.clone()));
@@ -149,7 +149,7 @@ pub fn leave_out<M: SessionModel>(
     let counted: Vec<usize> = (0..fold.len()).filter(|&i| fold[i].is_some() && counts(i)).collect();
     // A model that ignores readings is judged on them, too: as a second number beside the error of those that count.
     let ignored = (0..fold.len()).any(|i| fold[i].is_some() && !counts(i));
-    if ignored && let Some(e) = sum(&left_out.rows(model, |_| true, &chosen)) {
+    if ignored && let Some(e) = sum(&left_out.rows(model, |_| true, chosen)) {
         further.push((format!("accepted model on all {} readings, flagged ones among them", e.points), e));
     }
     let errors = Errors {

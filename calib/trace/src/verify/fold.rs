@@ -182,7 +182,7 @@ mod tests {
     /// One group scatters by six standard deviations: with it the noise is twice as large, and a gross reading among the others is none.
     #[test]
     fn nor_in_its_noise_and_flags() {
-        let sign = |i: usize| if i % 3 == 0 { -1.0 } else { 1.0 };
+        let sign = |i: usize| if i.is_multiple_of(3) { -1.0 } else { 1.0 };
         for seed in 0..10 {
             let wild = session(seed, |i, _| match i {
                 30..40 => 6.0 * sign(i),

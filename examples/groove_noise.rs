@@ -120,8 +120,8 @@ impl Row {
         if !matches!(done.document.verdict, Verdict::Adequate | Verdict::Effect) {
             return Ok(());
         }
-        let whole = &done.whole;
-        let Some(motion) = done.model.groove_motion(whole) else { return Ok(()) };
+        let whole = &done.assessment.whole;
+        let Some(motion) = done.decision.calibration().groove_motion(whole) else { return Ok(()) };
         self.calibrated += 1;
         let [sealed, _] = whole.held_out();
         let tracked = track(whole, motion, |i| sealed[i])?;
@@ -129,12 +129,16 @@ impl Row {
         // Its readings have one error.
         found.dedup_by_key(|c| c.trajectory);
         if each {
-            let part = done.model.correlated_noise;
+            let part = done.decision.calibration().correlated_noise;
             let part = part.map_or_else(
                 || "no correlated part".to_owned(),
                 |c| format!("{:.2} pm correlated over {:.0} s", c.sd_pm, c.time_constant_s),
             );
-            println!("  {} {seed} {design:?}: noise {:.2} pm, {part}", noise.name(), done.model.noise_sd_pm);
+            println!(
+                "  {} {seed} {design:?}: noise {:.2} pm, {part}",
+                noise.name(),
+                done.decision.calibration().noise_sd_pm
+            );
         }
         for c in found.iter().filter(|_| each) {
             println!(

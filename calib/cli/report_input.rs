@@ -39,7 +39,7 @@ pub fn of_whisker(
     provenance: Provenance,
 ) -> ReportInput {
     let count = |role: Role| data.rows.iter().filter(|r| r.role == role).count();
-    let found = &done.found;
+    let found = &done.decision.explained().found;
     let after = model_after(&done.document, accepted_on_request);
     ReportInput {
         title: session.id.clone(),
@@ -65,10 +65,8 @@ pub fn of_whisker(
                 ),
             ),
         ],
-        residuals: done.residuals.clone(),
-        further_errors: done
-            .further
-            .iter()
+        residuals: done.assessment.residuals.clone(),
+        further_errors: (done.decision.left_out().errors.further.iter())
             .map(|(name, error)| NamedError { name: name.clone(), error: error.clone() })
             .collect(),
         gate: gates([found.first_test.p_values(), found.last_test.p_values()], after),

@@ -32,6 +32,7 @@ use wcal_report::ReportInput;
 use wcal_session::{LoadedSession, SessionError, SessionLedger, add_session, attach_holdout, load};
 use wcal_trace::method::options::{Options, ProgressListener};
 use wcal_trace::scalar::{ScalarData, ScalarModel, verify_scalar};
+use wcal_trace::verify::conclusion::asserts_validity;
 use wcal_trace::verify::{VerifyRequest, Witness};
 use wcal_trace::whisker::physical::PhysicalModel;
 use wcal_trace::whisker::{Verified, WhiskerSystem, WhiskerVerification, verify_whisker};
@@ -272,12 +273,8 @@ pub fn verify_session(
     if let Some(csv) = predictions {
         out.put("predictions.csv", mark_table(&csv, session.simulated));
     }
-    let verified = match report.verify.verdict {
-        _ if report.verify.holdout.outcome == HoldoutOutcome::Contradicted => false,
-        Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
-        Verdict::Ambiguous => !request.accept.is_empty(),
-        _ => false,
-    };
+    let verified = report.verify.holdout.outcome != HoldoutOutcome::Contradicted
+        && asserts_validity(report.verify.verdict, !request.accept.is_empty());
     if let Some(model) = model.filter(|_| verified) {
         let wire = match &session.data {
             SessionData::Whisker(data) => {
@@ -320,21 +317,21 @@ fn of_whisker_session(
     let on_request = !request.accept.is_empty();
     let mut report = of_whisker(session, (data, count), &done, on_request, provenance);
     // What the calibration says of contacts comes from the readings that it was fitted to; the sealed ones show whether it is true.
-    let own = groove_places(&done, &done.model, (&done.open, "fit"))?;
+    let (calibration, open) = (done.decision.calibration(), done.decision.model());
+    let whole = &done.assessment.whole;
+    let own = groove_places(&done, calibration, (open, "fit"))?;
     let contact = groove_comparison::groove_tracking(&own, "fit")
         .as_ref()
         .and_then(groove_comparison::calibration_contact);
-    let split = if count > 0 { (&done.whole, "holdout") } else { (&done.open, "fit") };
-    let after = if count > 0 { groove_places(&done, &done.model, split)? } else { own };
-    let before = groove_places(&done, &done.declared, split)?;
+    let split = if count > 0 { (whole, "holdout") } else { (open, "fit") };
+    let after = if count > 0 { groove_places(&done, calibration, split)? } else { own };
+    let before = groove_places(&done, &done.decision.declared_calibration(), split)?;
     report.verify.contact = groove_comparison::contact_comparison(&before, &after);
     report.verify.groove_tracking = groove_comparison::groove_tracking(&after, split.1);
     Ok(Outcome {
-        judged: given
-            .map(|g| g.judge(SessionSystem::Whisker(&done.whole), request.search.seed))
-            .transpose()?,
+        judged: given.map(|g| g.judge(SessionSystem::Whisker(whole), request.search.seed)).transpose()?,
         predictions: Some(predictions_csv(&done)?),
-        model: Some(CalibrationModel::Physical(done.model.clone())),
+        model: Some(CalibrationModel::Physical(calibration.clone())),
         contact,
         report,
     })
@@ -357,7 +354,7 @@ fn groove_places(
 ) -> anyhow::Result<Vec<Compared>> {
     let readings = 0..system.path.readings.len();
     let way_known = |i: usize| system.path.readings[i].rest || system.row(i).stage_mm.is_some();
-    let accepted = matches!(done.document.verdict, Verdict::Adequate | Verdict::Effect | Verdict::TwinFault);
+    let accepted = asserts_validity(done.document.verdict, false);
     let motion = model.groove_motion(system).filter(|_| accepted && readings.clone().all(way_known));
     let Some(motion) = motion else { return Ok(Vec::new()) };
     let [sealed, _] = system.held_out();

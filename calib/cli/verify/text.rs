@@ -8,6 +8,7 @@ use wcal_core::ResidualRecord;
 use wcal_core::verify_document::{ContactComparison, HoldoutOutcome};
 use wcal_report::ReportInput;
 use wcal_trace::scalar::ScalarData;
+use wcal_trace::verify::Assessment;
 use wcal_trace::whisker::WhiskerVerification;
 
 /// Every reading with what both models say of it, in the order of the tables.
@@ -16,11 +17,11 @@ pub(super) fn predictions_csv(done: &WhiskerVerification) -> anyhow::Result<Stri
         "source,point,role,moment_1_nmm_before,moment_2_nmm_before,moment_1_nmm_after,moment_2_nmm_after,\
          moment_1_sd_nmm,moment_2_sd_nmm,fbg_1_pm_before,fbg_2_pm_before,fbg_1_pm_after,fbg_2_pm_after\n",
     );
-    let whole = &done.whole;
+    let Assessment { whole, before, after, .. } = &done.assessment;
     let mut order: Vec<usize> = (0..whole.path.rows.len()).collect();
     order.sort_by_key(|&i| whole.path.rows[i]);
     for i in order {
-        let (row, [before, after]) = (whole.row(i), done.predictions.each_ref().map(|p| &p.readings[i]));
+        let (row, [before, after]) = (whole.row(i), [before, after].map(|p| &p.readings[i]));
         let role = serde_json::to_value(row.role)?;
         write!(csv, "{},{},{}", row.source, row.point, role.as_str().unwrap_or_default())?;
         for pair in [before.moment_nmm, after.moment_nmm, after.moment_sd_nmm] {

@@ -33,6 +33,7 @@ use wcal_core::order_statistics::median;
 use wcal_core::verify_document::WitnessTest;
 use wcal_rod::Shape;
 use wcal_sim::Mesh;
+use wcal_trace::MeasurementModel;
 use wcal_trace::TraceError;
 use wcal_trace::levels::WITNESSES;
 use wcal_trace::method::hypothesis::Hypothesis;

@@ -110,7 +110,7 @@ pub struct VerifyDocument {
     /// Where the tracker by known motion puts the groove through the accepted calibration (whisker); absent where it was not tracked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub groove_tracking: Option<GrooveTracking>,
-    /// What further measurements of the instrument say: a sweep over a known object (`--sweep`) of each explanation, pictures of the accepted one;
+    /// What further measurements of the instrument say: a sweep over a known object (`--sweep`) of each explanation, pictures of each, too;
     /// absent without any.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tests: Vec<WitnessTest>,

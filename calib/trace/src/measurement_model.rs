@@ -23,6 +23,10 @@ pub trait MeasurementModel: Sync {
     fn channels_pm(&self) -> DMatrix<f64> {
         DMatrix::identity(self.measured().ncols(), self.measured().ncols())
     }
+    /// From the noise in those channels to that of a value of the sensor: mean of the channels.
+    fn noise_factor(&self) -> f64 {
+        (self.channels_pm().norm_squared() / self.measured().ncols() as f64).sqrt()
+    }
     /// Design matrix, readings x coefficients; none where the model has no solution at these values.
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>>;
     /// The catalogue.

@@ -12,14 +12,13 @@ pub mod error_summary;
 mod estimate_noise;
 mod evidence;
 mod explained;
+mod fold;
 pub mod judgement;
 mod left_out;
-mod noise_report;
 mod refutation;
 mod request;
 pub(crate) mod sealed_in_fit;
 pub mod session_model;
-mod support;
 mod witness;
 
 use crate::error::TraceError;

@@ -46,7 +46,7 @@ fn tracked(
     model: &PhysicalModel,
     change: impl Fn(&mut GrooveMotion),
 ) -> Vec<Compared> {
-    let whole = &done.whole;
+    let whole = &done.assessment.whole;
     let mut motion = model.groove_motion(whole).unwrap();
     change(&mut motion);
     let [sealed, _] = whole.held_out();
@@ -101,7 +101,7 @@ fn regions_hold_and_errors_are_at_the_bound_with_fitted_calibrations() {
     for seed in 0..8 {
         let done = verified(seed, Design::Paper, CaseKind::Null);
         assert_eq!(done.document.verdict, Verdict::Adequate, "{seed}");
-        all.extend(tracked(&done, &done.model, |_| ()));
+        all.extend(tracked(&done, done.decision.calibration(), |_| ()));
     }
     assert!(all.len() >= 40 && binomial_cdf(held(&all), all.len(), REGION) > LEVEL, "{}", said(&all));
     // The median, since the bound is one for small errors and a shallow press has a few large ones.
@@ -116,7 +116,7 @@ fn regions_hold_and_errors_are_at_the_bound_with_fitted_calibrations() {
 fn regions_hold_with_an_effect_that_the_loop_repaired() {
     let done = verified(300, Design::Rich, CaseKind::Effects(vec![Kind::FbgThree]));
     assert_eq!(done.document.verdict, Verdict::Effect);
-    let found = tracked(&done, &done.model, |_| ());
+    let found = tracked(&done, done.decision.calibration(), |_| ());
     assert!(binomial_cdf(held(&found), found.len(), REGION) > LEVEL, "{}", said(&found));
 }
 
@@ -128,7 +128,7 @@ fn the_error_of_the_map_is_in_the_regions() {
     for seed in 20..22 {
         let done = verified(seed, Design::Paper, CaseKind::Null);
         for draw in 0..4 {
-            let model = less_certain(&done.model, TIMES, draw);
+            let model = less_certain(done.decision.calibration(), TIMES, draw);
             with.extend(tracked(&done, &model, |_| ()));
             without.extend(tracked(&done, &model, exact));
         }
@@ -144,13 +144,13 @@ fn noise_that_is_correlated_in_time_is_in_the_regions() {
     let (mut with, mut without, mut sessions) = (Vec::new(), Vec::new(), 0);
     for seed in 1_000_005..1_000_016 {
         let done = verified_under(seed, Design::Paper, CaseKind::Null, Noise::Drift);
-        let shown = done.model.correlated_noise.is_some();
+        let shown = done.decision.calibration().correlated_noise.is_some();
         if done.document.verdict != Verdict::Adequate || !shown {
             continue;
         }
         sessions += 1;
-        let white = PhysicalModel { correlated_noise: None, ..done.model.clone() };
-        with.extend(tracked(&done, &done.model, |_| ()));
+        let white = PhysicalModel { correlated_noise: None, ..done.decision.calibration().clone() };
+        with.extend(tracked(&done, done.decision.calibration(), |_| ()));
         without.extend(tracked(&done, &white, |_| ()));
     }
     assert!(sessions >= 5, "{sessions} sessions show their drift");

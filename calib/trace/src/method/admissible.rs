@@ -1,6 +1,6 @@
 //! Whether an explanation may stand: inside what physics allows, with nothing in it that is none, and its fit at an end.
 
-use super::fit::{Fit, Status, fit};
+use super::fit::{Fit, Status, Weights, fit};
 use super::hypothesis::Hypothesis;
 use super::min_p::{MinPDistribution, f_test};
 use super::range_check::range_check;
@@ -49,6 +49,17 @@ impl Hypothesis {
         (1..terms.len()).all(apart)
             && self.fit.status != Status::RankDeficient
             && range_check(system, &self.fit)
+    }
+
+    /// `terms` on the readings of `weights`, nothing flagged; none where they have no fit.
+    pub fn fitted(
+        system: &dyn MeasurementModel,
+        terms: &[EffectTerm],
+        weights: &Weights,
+        steps: usize,
+    ) -> Option<Self> {
+        let fit = fit(system, terms, weights, steps)?;
+        Some(Self { fit, weights: weights.clone(), flagged: Vec::new(), flag_p: 1.0 })
     }
 
     /// The same without the terms that `leaves`, everything else refitted; none where that has no fit.

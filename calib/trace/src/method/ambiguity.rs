@@ -137,7 +137,6 @@ mod tests {
             raw_residual: DMatrix::from_column_slice(n, 1, residual.as_slice()),
             raw_tangents: Vec::new(),
             auxiliary_residual: DVector::zeros(0),
-            witness_tangents: Vec::new(),
             auxiliary_readings: Arc::default(),
             witness_count: 0,
             ssr: residual.norm_squared(),

@@ -78,7 +78,7 @@ pub fn retain_cross_validated(system: &dyn MeasurementModel, h: &Hypothesis) -> 
 #[cfg(test)]
 mod tests {
     use super::super::columns_system_test::ColumnsSystem;
-    use super::super::fit::{Weights, fit};
+    use super::super::fit::Weights;
     use super::*;
 
     /// Effects that are kept and dropped where `slope` of each group acts, ten groups of ten readings.
@@ -86,10 +86,8 @@ mod tests {
         let x: Vec<f64> = (0..100).map(|i| (i % 10) as f64 / 4.5 - 1.0).collect();
         let clean: Vec<f64> = x.iter().enumerate().map(|(i, x)| slope(i / 10) * x).collect();
         let system = ColumnsSystem::new(seed, vec![x], &clean);
-        let weights = Weights::equal(100);
-        let fit = fit(&system, &[ColumnsSystem::term(0)], &weights, 5).unwrap();
-        let (kept, within) =
-            retain_cross_validated(&system, &Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 });
+        let h = Hypothesis::fitted(&system, &[ColumnsSystem::term(0)], &Weights::equal(100), 5).unwrap();
+        let (kept, within) = retain_cross_validated(&system, &h);
         (kept.fit.terms.len(), within)
     }
 

@@ -1,8 +1,9 @@
 //! A fitted model: coefficients, what is left of readings and second witness, and the derivatives there.
 
 use super::linear::stack_with;
-use crate::effect::EffectTerm;
+use crate::effect::{Catalogue, EffectModel, EffectTerm};
 use nalgebra::{DMatrix, DVector};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// How a fit ended.
@@ -35,14 +36,12 @@ pub struct Fit {
     pub ssr: f64,
     /// Readings x channels less coefficients and parameters.
     pub dof: f64,
-    /// Tangent of the prediction by each nonlinear parameter, readings x channels each (whitened).
-    pub tangents: Vec<DMatrix<f64>>,
-    /// The same as they are, not whitened.
+    /// Tangent of the whole whitened prediction by each nonlinear parameter: readings channel by channel, then the second witness.
+    pub tangents: Vec<DVector<f64>>,
+    /// Those of the readings as they are, not whitened, readings x channels each.
     pub raw_tangents: Vec<DMatrix<f64>>,
     /// What the second witness leaves, whitened; empty without one.
     pub auxiliary_residual: DVector<f64>,
-    /// Tangents of its prediction by each nonlinear parameter, whitened.
-    pub witness_tangents: Vec<DVector<f64>>,
     /// Reading of each of its values.
     pub auxiliary_readings: Arc<Vec<usize>>,
     /// Values of the second witness that count.
@@ -53,7 +52,28 @@ pub struct Fit {
     pub status: Status,
 }
 
+/// Where a term stands in a fit.
+pub struct TermSlots {
+    /// Its columns of the design.
+    pub columns: Range<usize>,
+    /// Its values among the nonlinear ones.
+    pub values: Range<usize>,
+}
+
 impl Fit {
+    /// Where each term stands: columns follow the declared model's, values each other, both in the order of the terms.
+    pub fn slots(&self, catalogue: &Catalogue) -> Vec<TermSlots> {
+        let laws: Vec<&EffectModel> = self.terms.iter().map(|t| catalogue[t.effect].law(t.law)).collect();
+        let own: usize = laws.iter().map(|l| l.linear.len()).sum();
+        let (mut column, mut value) = (self.design.ncols().saturating_sub(own), 0);
+        let of = |law: &EffectModel| {
+            let (columns, values) = (column..column + law.linear.len(), value..value + law.parameters.len());
+            (column, value) = (columns.end, values.end);
+            TermSlots { columns, values }
+        };
+        laws.into_iter().map(of).collect()
+    }
+
     /// Residual variance.
     pub fn variance(&self) -> f64 {
         self.ssr / self.dof.max(1.0)
@@ -74,11 +94,6 @@ impl Fit {
         stack_with(&self.residual, &self.auxiliary_residual)
     }
 
-    /// Tangents in the same order.
-    pub fn stacked_tangents(&self) -> Vec<DVector<f64>> {
-        self.tangents.iter().zip(&self.witness_tangents).map(|(t, w)| stack_with(t, w)).collect()
-    }
-
     /// Derivatives of the whole whitened prediction: by the coefficients channel by channel, then by the nonlinear values.
     pub fn jacobian(&self) -> DMatrix<f64> {
         let ((n, q), channels, m) = (self.design.shape(), self.residual.ncols(), self.tangents.len());
@@ -87,10 +102,16 @@ impl Fit {
         for c in 0..channels {
             jacobian.view_mut((c * n, c * q), (n, q)).copy_from(&self.design);
         }
-        for (j, t) in self.stacked_tangents().iter().enumerate() {
+        for (j, t) in self.tangents.iter().enumerate() {
             jacobian.set_column(q * channels + j, t);
         }
         jacobian
+    }
+
+    /// Column `j` of the design in each channel, where its coefficient is free.
+    pub fn column_directions(&self, j: usize) -> impl Iterator<Item = DVector<f64>> {
+        let column: Vec<f64> = self.design.column(j).iter().copied().collect();
+        (0..self.residual.ncols()).map(move |c| self.in_channel(&column, c))
     }
 
     /// A column of the readings in channel `channel`, zero elsewhere, in the same order.

@@ -8,6 +8,7 @@
 
 use super::fitted::Fit;
 use super::noise::Weights;
+use crate::effect::Catalogue;
 use crate::levels::PRICE;
 
 /// An explanation: effects with fitted parameters.
@@ -33,6 +34,11 @@ impl Hypothesis {
         ids.sort_unstable();
         ids.dedup();
         ids
+    }
+
+    /// Identifiers of its terms.
+    pub fn term_ids(&self, catalogue: &Catalogue) -> Vec<String> {
+        self.fit.terms.iter().map(|t| catalogue[t.effect].id.to_owned()).collect()
     }
 
     /// Parameters that the explanation spends beyond the declared model.

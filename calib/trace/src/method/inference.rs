@@ -40,48 +40,37 @@ pub fn parameters(system: &dyn MeasurementModel, h: &Hypothesis, effect: usize) 
     let (q, c) = (fit.design.ncols(), fit.residual.ncols());
     let t = t95(fit.dof);
     let mut out = Vec::new();
-    let mut slot = q * c;
-    // Columns of linear terms follow the declared model's in term order.
-    let own: usize =
-        fit.terms.iter().map(|term| system.catalogue()[term.effect].law(term.law).linear.len()).sum();
-    let mut column = q - own.min(q);
-    for term in &fit.terms {
-        let law = &system.catalogue()[term.effect].law(term.law);
-        for (p, v) in law.parameters.iter().zip(&term.values) {
-            let shared = NORMAL_95 * system.systematic_sd(term.effect, p.name);
-            let half = (t * covariance[(slot, slot)].max(0.0).sqrt()).hypot(shared);
-            slot += 1;
-            if term.effect == effect {
-                let one_sided = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;
-                let low = if one_sided { (v - half).max(0.0) } else { v - half };
+    let all = fit.terms.iter().zip(fit.slots(system.catalogue()));
+    for (term, slots) in all.filter(|(term, _)| term.effect == effect) {
+        let law = system.catalogue()[effect].law(term.law);
+        for ((p, v), k) in law.parameters.iter().zip(&term.values).zip(slots.values) {
+            let shared = NORMAL_95 * system.systematic_sd(effect, p.name);
+            let half = (t * covariance[(q * c + k, q * c + k)].max(0.0).sqrt()).hypot(shared);
+            let one_sided = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;
+            let low = if one_sided { (v - half).max(0.0) } else { v - half };
+            out.push(EffectParameter {
+                name: p.name.to_owned(),
+                value: *v,
+                unit: p.unit.to_owned(),
+                interval95: [low, v + half],
+            });
+        }
+        for ((name, unit), column) in law.linear.iter().zip(slots.columns) {
+            for channel in 0..c {
+                let shares = pm.column(channel);
+                let of =
+                    |a: usize, b: usize| shares[a] * shares[b] * covariance[(a * q + column, b * q + column)];
+                let variance: f64 =
+                    (0..c).flat_map(|a| (0..c).map(move |b| (a, b))).map(|(a, b)| of(a, b)).sum();
+                let half = t * variance.max(0.0).sqrt();
+                let v = (fit.coefficients.row(column) * shares)[0];
                 out.push(EffectParameter {
-                    name: p.name.to_owned(),
-                    value: *v,
-                    unit: p.unit.to_owned(),
-                    interval95: [low, v + half],
+                    name: if c > 1 { format!("{name}_{}", channel + 1) } else { (*name).to_owned() },
+                    value: v,
+                    unit: (*unit).to_owned(),
+                    interval95: [v - half, v + half],
                 });
             }
-        }
-        for (name, unit) in &law.linear {
-            if term.effect == effect {
-                for channel in 0..c {
-                    let shares = pm.column(channel);
-                    let of = |a: usize, b: usize| {
-                        shares[a] * shares[b] * covariance[(a * q + column, b * q + column)]
-                    };
-                    let variance: f64 =
-                        (0..c).flat_map(|a| (0..c).map(move |b| (a, b))).map(|(a, b)| of(a, b)).sum();
-                    let half = t * variance.max(0.0).sqrt();
-                    let v = (fit.coefficients.row(column) * shares)[0];
-                    out.push(EffectParameter {
-                        name: if c > 1 { format!("{name}_{}", channel + 1) } else { (*name).to_owned() },
-                        value: v,
-                        unit: (*unit).to_owned(),
-                        interval95: [v - half, v + half],
-                    });
-                }
-            }
-            column += 1;
         }
     }
     out
@@ -91,7 +80,7 @@ pub fn parameters(system: &dyn MeasurementModel, h: &Hypothesis, effect: usize) 
 pub const CLASS_COSINE: f64 = 0.995;
 
 /// What an explanation takes out of the declared model's residual.
-pub fn explained(base: &Hypothesis, h: &Hypothesis) -> DVector<f64> {
+pub fn explained_part(base: &Hypothesis, h: &Hypothesis) -> DVector<f64> {
     let mut v = base.fit.stacked() - h.fit.stacked();
     // Flagged readings count as explained whole in both, so that they do not dominate the angle.
     for direction in h.flagged.iter().flat_map(|&i| h.fit.directions_of(i)) {
@@ -114,9 +103,9 @@ pub fn signature_cosine(
     best: &Hypothesis,
     h: &Hypothesis,
 ) -> f64 {
-    let whole = explained(base, best);
+    let whole = explained_part(base, best);
     let common = common_effects(system, base, best, h);
-    let (a, b) = (common.project_off(&whole), common.project_off(&explained(base, h)));
+    let (a, b) = (common.project_off(&whole), common.project_off(&explained_part(base, h)));
     let own = a.norm().max(b.norm());
     if own <= 1e-9 * whole.norm() { 1.0 } else { cosine(&a, &b).abs() }
 }
@@ -153,28 +142,12 @@ pub fn indistinguishable(
 /// terms that `b` has, too.
 fn common_effects(system: &dyn MeasurementModel, base: &Hypothesis, a: &Hypothesis, b: &Hypothesis) -> Basis {
     let declared = nuisance_basis(&base.fit);
-    let channels = a.fit.residual.ncols();
-    let linear = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
-    let own: usize = a.fit.terms.iter().map(linear).sum();
-    let (mut slot, mut column) = (0, a.fit.design.ncols() - own.min(a.fit.design.ncols()));
-    let mut basis = Basis::default();
-    for term in &a.fit.terms {
-        let key = |t: &EffectTerm| t.key(system.catalogue());
-        let shared = b.fit.terms.iter().any(|t| key(t) == key(term));
-        let mut add = |v: &DVector<f64>| {
-            if shared {
-                basis.push(&declared.project_off(v));
-            }
-        };
-        for j in column..column + linear(term) {
-            let values: Vec<f64> = a.fit.design.column(j).iter().copied().collect();
-            (0..channels).for_each(|c| add(&a.fit.in_channel(&values, c)));
-        }
-        column += linear(term);
-        for tangent in a.fit.stacked_tangents().iter().skip(slot).take(term.values.len()) {
-            add(tangent);
-        }
-        slot += term.values.len();
-    }
-    basis
+    let key = |t: &EffectTerm| t.key(system.catalogue());
+    let all = a.fit.terms.iter().zip(a.fit.slots(system.catalogue()));
+    let shared = all.filter(|(term, _)| b.fit.terms.iter().any(|t| key(t) == key(term)));
+    let directions = shared.flat_map(|(_, slots)| {
+        let columns = slots.columns.flat_map(|j| a.fit.column_directions(j));
+        columns.chain(a.fit.tangents[slots.values].iter().cloned())
+    });
+    Basis::of(directions.map(|v| declared.project_off(&v)))
 }

@@ -5,6 +5,7 @@
 //! ```
 
 use super::distributions::f_tail;
+use crate::levels::REPLICATES;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -21,6 +22,13 @@ pub struct LackOfFit {
     pub dof: f64,
     /// p-value; null where nothing is left to test.
     pub p_value: Option<f64>,
+}
+
+impl LackOfFit {
+    /// Repeats contradict the model.
+    pub fn is_significant(&self) -> bool {
+        self.p_value.is_some_and(|p| p < REPLICATES)
+    }
 }
 
 /// Splits the misfit of a model with `parameters` free values. `keys` groups replicates; rows with weight 0 do not count.

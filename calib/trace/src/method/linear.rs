@@ -12,6 +12,15 @@ pub struct Basis {
 const NEW_SHARE: f64 = 1e-6;
 
 impl Basis {
+    /// The span of `vectors`.
+    pub fn of(vectors: impl IntoIterator<Item = DVector<f64>>) -> Self {
+        let mut basis = Self::default();
+        for v in vectors {
+            basis.push(&v);
+        }
+        basis
+    }
+
     /// Number of directions.
     pub fn rank(&self) -> usize {
         self.vectors.len()

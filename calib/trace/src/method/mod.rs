@@ -26,5 +26,4 @@ pub mod search;
 pub mod search_result;
 pub mod settings;
 pub mod signature;
-mod socp;
 pub mod subsets;

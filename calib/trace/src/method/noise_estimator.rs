@@ -31,7 +31,7 @@ const MAX_LEAD: f64 = 300.0;
 /// only where a verdict could rest on it.
 pub fn noise_for_predictions(system: &dyn MeasurementModel, h: &Hypothesis, seed: u64) -> Option<Noise> {
     let judge = NoiseEstimator::new(system, seed).with_correlated_gain(CORRELATED_PRICE);
-    Some(judge.noise(h, &[])?.0)
+    judge.noise(h, &[])
 }
 
 /// Estimates the noise of an explanation's residuals.
@@ -48,16 +48,37 @@ impl<'a> NoiseEstimator<'a> {
         Self { system, inputs: system.noise_inputs(), correlated_gain: correlated_gain(), seed }
     }
 
+    /// The same by the readings that are not `left_out`: these can never count.
+    pub(crate) fn without(mut self, left_out: impl Fn(usize) -> bool) -> Self {
+        let known = self.inputs.known.iter_mut().enumerate();
+        known.filter(|(i, _)| left_out(*i)).for_each(|(_, known)| *known = 0.0);
+        self
+    }
+
+    /// Readings that share nothing, each as good as it is known to be.
+    pub(crate) fn independent(&self) -> Weights {
+        Weights::independent(self.inputs.own(0.0))
+    }
+
     /// The same where a part that is correlated in time is taken up from this gain on.
     pub(crate) fn with_correlated_gain(self, correlated_gain: f64) -> Self {
         Self { correlated_gain, ..self }
     }
 
-    /// Noise of the residuals of `h`, with further columns where there are some, and how well the model can do under any noise.
-    pub fn noise(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<(Noise, RestrictedLikelihood)> {
+    /// Noise of the residuals of `h`, with further columns where there are some.
+    pub fn noise(&self, h: &Hypothesis, columns: &[Vec<f64>]) -> Option<Noise> {
         let model = MeanModel::of(&h.fit).with(columns);
-        let noise = estimate(&model, &self.inputs, &h.weights, self.correlated_gain, self.seed)?;
-        let mut m = best_misfit(&model, &self.inputs, &noise)?;
+        estimate(&model, &self.inputs, &h.weights, self.correlated_gain, self.seed)
+    }
+
+    /// The same, and how well the model can do under any noise.
+    fn noise_and_misfit(
+        &self,
+        h: &Hypothesis,
+        columns: &[Vec<f64>],
+    ) -> Option<(Noise, RestrictedLikelihood)> {
+        let noise = self.noise(h, columns)?;
+        let mut m = best_misfit(&MeanModel::of(&h.fit).with(columns), &self.inputs, &noise)?;
         // The second witness's covariance is known: its part of -2 log L is its sum of squares.
         let seen = h.fit.witness_count as f64;
         m.plain += h.fit.auxiliary_residual.norm_squared() / self.system.auxiliary_variance();
@@ -86,11 +107,11 @@ impl<'a> NoiseEstimator<'a> {
     /// another noise is judged under the one that it was found with.
     pub(crate) fn backward_eliminate(&self, best: &Hypothesis, family: &MinPDistribution) -> Hypothesis {
         let weakest = |kept: &Hypothesis, dropped: Vec<(usize, Hypothesis)>| {
-            let with = self.noise(kept, &[])?;
+            let with = self.noise_and_misfit(kept, &[])?;
             let level = if with.0.correlated.is_some() { RETAIN_BESIDE_CORRELATED } else { RETAIN };
             let judged = dropped
                 .into_iter()
-                .filter_map(|d| Some((self.p_value(&self.noise(&d.1, &[])?, &with, family), d)));
+                .filter_map(|d| Some((self.p_value(&self.noise_and_misfit(&d.1, &[])?, &with, family), d)));
             judged.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(p, _)| *p > level).map(|(_, d)| d)
         };
         best.eliminate(self.system, weakest).0
@@ -98,10 +119,10 @@ impl<'a> NoiseEstimator<'a> {
 
     /// Generic drivers of what `h` leaves, by their likelihood with a noise of their own; none where none holds against the noise without.
     pub(crate) fn covariate_scores(&self, h: &Hypothesis, test: &OmnibusTest) -> Option<Vec<CovariateScore>> {
-        let without = self.noise(h, &[])?;
+        let without = self.noise_and_misfit(h, &[])?;
         let mut judged: Vec<(f64, CovariateScore)> = Vec::new();
         for score in test.covariates.iter().take(COVARIATES_JUDGED) {
-            let Some(with) = self.noise(h, &score.columns) else { continue };
+            let Some(with) = self.noise_and_misfit(h, &score.columns) else { continue };
             judged.push((self.p_value(&without, &with, &test.covariate_family), score.clone()));
         }
         judged.sort_by(|a, b| a.0.total_cmp(&b.0));

@@ -23,7 +23,7 @@ const ROUNDS: usize = 6;
 
 /// Residuals in standard deviations of their own, readings x channels: a reading that counts by its whitened residual over the share that
 /// the fit leaves, one that does not by its prediction.
-pub fn standardised(fit: &Fit, weights: &Weights) -> DMatrix<f64> {
+pub fn studentised_residuals(fit: &Fit, weights: &Weights) -> DMatrix<f64> {
     let (n, channels) = fit.residual.shape();
     let s = fit.variance().sqrt().max(1e-300);
     let basis = nuisance_basis(fit);
@@ -65,7 +65,7 @@ pub fn reject_outliers(
     let mut flagged: Vec<usize> = (0..n).filter(|&i| all.counts(i) && !weights.counts(i)).collect();
     let (mut p_value, digit) = (1.0, quantisation_step(system, channels));
     for _ in 0..ROUNDS {
-        let z = standardised(&current, &weights);
+        let z = studentised_residuals(&current, &weights);
         let judged: Vec<f64> = (0..n)
             .filter(|&i| all.counts(i))
             .flat_map(|i| z.row(i).iter().copied().collect::<Vec<_>>())

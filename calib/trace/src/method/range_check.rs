@@ -2,28 +2,24 @@
 //! bounds (convex, by clarabel), and the data may insist on more or not.
 
 use super::fit::Fit;
-use super::linear::Basis;
 use super::min_p::f_test;
-use super::socp::minimise;
+use super::signature::nuisance_basis_without;
 use crate::levels::RANGE;
 use crate::measurement_model::MeasurementModel;
-use clarabel::solver::SupportedConeT;
+use clarabel::algebra::CscMatrix;
+use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, SolverStatus, SupportedConeT};
 use nalgebra::{DMatrix, DVector};
+use std::ops::Range;
 
 /// Whether every law with a largest share keeps to it, or would explain as well if held there.
 pub fn range_check(system: &dyn MeasurementModel, fit: &Fit) -> bool {
-    let laws: Vec<_> = fit.terms.iter().map(|t| system.catalogue()[t.effect].law(t.law).clone()).collect();
-    let own: usize = laws.iter().map(|l| l.linear.len()).sum();
-    // Columns of linear terms follow the declared model's in term order.
-    let mut first = fit.design.ncols() - own.min(fit.design.ncols());
-    laws.iter().all(|law| {
-        let columns = first..first + law.linear.len();
-        first = columns.end;
-        law.largest_share.is_none_or(|share| holds(fit, columns, share))
+    fit.terms.iter().zip(fit.slots(system.catalogue())).all(|(t, slots)| {
+        let largest_share = system.catalogue()[t.effect].law(t.law).largest_share;
+        largest_share.is_none_or(|share| is_within_share(fit, slots.columns, share))
     })
 }
 
-fn holds(fit: &Fit, columns: std::ops::Range<usize>, share: f64) -> bool {
+fn is_within_share(fit: &Fit, columns: Range<usize>, share: f64) -> bool {
     let channels = fit.residual.ncols();
     let part = fit.design.columns_range(columns.clone()) * fit.coefficients.rows_range(columns.clone());
     let whole = &fit.design * &fit.coefficients;
@@ -35,16 +31,7 @@ fn holds(fit: &Fit, columns: std::ops::Range<usize>, share: f64) -> bool {
         return true;
     }
     // Everything else is free to take up what the bounded effect may not: its span is projected off.
-    let mut others = Basis::default();
-    for (_, column) in fit.design.column_iter().enumerate().filter(|(j, _)| !columns.contains(j)) {
-        let column: Vec<f64> = column.iter().copied().collect();
-        for c in 0..channels {
-            others.push(&fit.in_channel(&column, c));
-        }
-    }
-    for tangent in fit.stacked_tangents() {
-        others.push(&tangent);
-    }
+    let others = nuisance_basis_without(fit, &columns);
     // Directions in which the effect's own coefficients move the residual, once everything else is refitted.
     let own: Vec<(usize, usize)> = (0..channels).flat_map(|c| columns.clone().map(move |j| (j, c))).collect();
     let directions: Vec<DVector<f64>> = own
@@ -90,9 +77,39 @@ fn rise_under_bound(
             }
         }
     }
-    let cones = [SupportedConeT::NonnegativeConeT(rows.len())];
     let linear: Vec<f64> = linear.iter().map(|x| x / scale).collect();
-    let held = DVector::from_vec(minimise(&gram, &linear, &rows, &bounds, &cones)?) * scale;
+    let held = DVector::from_vec(minimise(&gram, &linear, &rows, &bounds)?) * scale;
     let change = held - start;
     Some((&gram * &change).dot(&change))
+}
+
+/// The x of least `1/2 x' P x + q' x` where no row of `rows x` exceeds its bound (interior point); none where the solver gives up.
+fn minimise(
+    quadratic: &DMatrix<f64>,
+    linear: &[f64],
+    rows: &[Vec<(usize, f64)>],
+    bounds: &[f64],
+) -> Option<Vec<f64>> {
+    let n = linear.len();
+    let upper: Vec<Vec<(usize, f64)>> =
+        (0..n).map(|i| (i..n).map(|j| (j, quadratic[(i, j)])).filter(|e| e.1 != 0.0).collect()).collect();
+    let (p, a) = (sparse(&upper, n, n), sparse(rows, rows.len(), n));
+    let cones = [SupportedConeT::NonnegativeConeT(rows.len())];
+    let settings = DefaultSettings { verbose: false, ..DefaultSettings::default() };
+    let mut solver = DefaultSolver::new(&p, linear, &a, bounds, &cones, settings).ok()?;
+    solver.solve();
+    let solved = matches!(solver.solution.status, SolverStatus::Solved | SolverStatus::AlmostSolved);
+    solved.then(|| solver.solution.x.clone())
+}
+
+fn sparse(rows: &[Vec<(usize, f64)>], height: usize, width: usize) -> CscMatrix<f64> {
+    let (mut i, mut j, mut v) = (Vec::new(), Vec::new(), Vec::new());
+    for (r, row) in rows.iter().enumerate() {
+        for (c, x) in row {
+            i.push(r);
+            j.push(*c);
+            v.push(*x);
+        }
+    }
+    CscMatrix::new_from_triplets(height, width, i, j, v)
 }

@@ -2,7 +2,7 @@
 //! order in which `verify` calls them for each size.
 
 use super::ambiguity::cox_p_values;
-use super::fit::{Fit, Weights, fit};
+use super::fit::{Fit, Weights};
 use super::hypothesis::{Gate, Hypothesis, NotIdentified, Rejection};
 use super::inference::indistinguishable;
 use super::min_p::f_test;
@@ -30,19 +30,10 @@ pub struct Search {
     /// Terms that gross readings of the declared model's first fit stand for: no step of the search.
     given: usize,
     size: usize,
-    /// The declared model.
-    pub base: Hypothesis,
-    /// Omnibus test on it.
-    pub first_test: OmnibusTest,
-    /// The best explanation so far.
-    pub best: Hypothesis,
-    /// Omnibus test on that.
-    pub test: OmnibusTest,
     /// Explanations of the last size, best first.
     level: Vec<Hypothesis>,
-    refitted: Vec<Hypothesis>,
-    /// What was never named, and at which gate.
-    pub rejections: Vec<Rejection>,
+    /// What was found so far; rivals are not compared yet.
+    pub found: SearchResult,
 }
 
 impl Search {
@@ -55,30 +46,40 @@ impl Search {
             options: options.clone(),
             given: count(system, &base.key(system, outlier_index(system))),
             size: 1,
-            first_test: test.clone(),
-            best: base.clone(),
-            test,
             level: vec![base.clone()],
-            refitted: Vec::new(),
-            rejections: Vec::new(),
-            base,
+            found: SearchResult {
+                first_test: test.clone(),
+                best: base.clone(),
+                last_test: test,
+                survivors: Vec::new(),
+                evidence: Vec::new(),
+                refitted: Vec::new(),
+                rejections: Vec::new(),
+                covariate_beats_catalogue: false,
+                base,
+            },
         })
     }
 
     /// A generic driver explains more than the catalogue does.
     pub fn generic_driver_wins(&self) -> bool {
-        covariate_wins(&self.base, &self.first_test, &self.best, self.best.fit.variance())
+        covariate_wins(
+            &self.found.base,
+            &self.found.first_test,
+            &self.found.best,
+            self.found.best.fit.variance(),
+        )
     }
 
     /// The explanation that the noise is taken from: the best one, but for where a generic driver explains more.
     pub fn accepted(&self) -> &Hypothesis {
-        if self.generic_driver_wins() { &self.base } else { &self.best }
+        if self.generic_driver_wins() { &self.found.base } else { &self.found.best }
     }
 
     /// Something was found or is left: heavier tails would be a reason to look again.
     pub fn is_inadequate(&self) -> bool {
-        let found = !self.best.fit.terms.is_empty() || !self.best.flagged.is_empty();
-        found || self.test.rejected() || self.generic_driver_wins()
+        let found = !self.found.best.fit.terms.is_empty() || !self.found.best.flagged.is_empty();
+        found || self.found.last_test.rejected() || self.generic_driver_wins()
     }
 }
 
@@ -86,14 +87,15 @@ impl Search {
 pub fn test_adequacy(system: &dyn MeasurementModel, search: &Search) -> bool {
     let done = (search.size - 1) as f64 / search.options.largest as f64;
     search.options.progress.at("searching for effects", done);
-    search.size <= search.options.largest && (search.test.rejected() || single_readings(system, &search.best))
+    search.size <= search.options.largest
+        && (search.found.last_test.rejected() || single_readings(system, &search.found.best))
 }
 
 /// Signatures of the catalogue off the nuisances of each explanation that is gone on from.
 pub fn project_signatures(system: &dyn MeasurementModel, search: &Search) -> Signatures {
     let parents = search.level.iter().take(if search.size == 1 { 1 } else { PARENTS }).enumerate();
     let of = |(k, h): (usize, &Hypothesis)| {
-        let known = || search.test.signatures.clone();
+        let known = || search.found.last_test.signatures.clone();
         let anew = || signatures_of_catalogue(system, &h.fit, &h.weights, &nuisance_basis(&h.fit));
         (h.clone(), if k == 0 { known() } else { anew() })
     };
@@ -109,7 +111,7 @@ pub fn screen_subsets(system: &dyn MeasurementModel, signatures: Signatures) -> 
 
 /// The candidates through the full forward model, outliers taken out of each, and sets of effects whose linear merit is before all of them.
 pub fn refit(system: &dyn MeasurementModel, search: &Search, candidates: &Candidates) -> Vec<Hypothesis> {
-    let (outliers, variance) = (outlier_index(system), search.best.fit.variance());
+    let (outliers, variance) = (outlier_index(system), search.found.best.fit.variance());
     let mut next: Vec<Hypothesis> = Vec::new();
     for (k, from) in candidates.parents.iter().enumerate() {
         let own: Vec<&Candidate> = candidates.extended.iter().filter(|c| c.from == k).collect();
@@ -117,11 +119,17 @@ pub fn refit(system: &dyn MeasurementModel, search: &Search, candidates: &Candid
             own.par_iter().flat_map_iter(|c| refit_starts(system, &c.starts, from)).collect();
         let single = outliers.filter(|_| from.flagged.is_empty());
         more.extend(single.and_then(|_| reject_outliers(system, &from.fit.terms, &from.fit, &from.weights)));
-        merge(system, &mut next, more, outliers, &search.base.fit, variance);
+        merge(system, &mut next, more, outliers, &search.found.base.fit, variance);
     }
     if search.size > 1 {
-        let more = subset_candidates(system, &search.base, &search.first_test.signatures, &next, search.size);
-        merge(system, &mut next, more, outliers, &search.base.fit, variance);
+        let more = subset_candidates(
+            system,
+            &search.found.base,
+            &search.found.first_test.signatures,
+            &next,
+            search.size,
+        );
+        merge(system, &mut next, more, outliers, &search.found.base.fit, variance);
     }
     next
 }
@@ -134,7 +142,7 @@ pub fn select_model(
 ) -> bool {
     let outliers = outlier_index(system);
     let open = refitted.iter().filter(|h| h.is_physical(system) && !h.is_admissible(system));
-    search.rejections.extend(open.map(|h| Rejection {
+    search.found.rejections.extend(open.map(|h| Rejection {
         effects: names(system, &h.key(system, outliers)),
         gate: Gate::NotConverged,
         why: String::new(),
@@ -142,7 +150,7 @@ pub fn select_model(
     let size = search.given + search.size;
     refitted.retain(|h| h.is_admissible(system) && count(system, &h.key(system, outliers)) == size);
     let (mut physical, refused) = split_by_identifiability(system, refitted);
-    let base = &search.base.fit;
+    let base = &search.found.base.fit;
     let unidentified = |taken: &Hypothesis| {
         best_unidentified_rival(&refused, taken, base).map(|n| Rejection {
             effects: vec![system.catalogue()[n.effect].id.to_owned()],
@@ -151,14 +159,14 @@ pub fn select_model(
         })
     };
     let Some(scale) = physical.iter().map(|h| h.fit.variance()).min_by(f64::total_cmp) else {
-        search.rejections.extend(unidentified(&search.best));
+        search.found.rejections.extend(unidentified(&search.found.best));
         return false;
     };
     physical.sort_by(|a, b| a.aic(base, scale).total_cmp(&b.aic(base, scale)));
     let candidate = physical[0].clone();
-    search.rejections.extend(unidentified(&candidate));
-    let p = f_to_enter(&search.best, &candidate, base, &search.test);
-    if p > CATALOGUE || candidate.aic(base, scale) >= search.best.aic(base, scale) {
+    search.found.rejections.extend(unidentified(&candidate));
+    let p = f_to_enter(&search.found.best, &candidate, base, &search.found.last_test);
+    if p > CATALOGUE || candidate.aic(base, scale) >= search.found.best.aic(base, scale) {
         return false;
     }
     take(system, search, physical);
@@ -167,13 +175,13 @@ pub fn select_model(
 
 /// The explanations that the data do not reject (Cox's test), and what they are worth.
 pub fn compare_rivals(system: &dyn MeasurementModel, search: &Search) -> SearchResult {
-    let Search { options, base, best, .. } = search;
-    let mut refitted = search.refitted.clone();
+    let SearchResult { base, best, .. } = &search.found;
+    let mut refitted = search.found.refitted.clone();
     let outliers = outlier_index(system);
     let variance = best.fit.variance();
     let top = best.aic(&base.fit, variance);
     let behind = |h: &Hypothesis| h.aic(&base.fit, variance) - top;
-    let p_values = cox_p_values(system, best, &mut refitted, options);
+    let p_values = cox_p_values(system, best, &mut refitted, &search.options);
     let survivors: Vec<Hypothesis> = refitted
         .iter()
         .zip(&p_values)
@@ -189,17 +197,8 @@ pub fn compare_rivals(system: &dyn MeasurementModel, search: &Search) -> SearchR
         p_value: *p_value,
     };
     let evidence = refitted.iter().zip(&p_values).map(line).collect();
-    SearchResult {
-        base: base.clone(),
-        first_test: search.first_test.clone(),
-        best: best.clone(),
-        last_test: search.test.clone(),
-        survivors,
-        evidence,
-        refitted,
-        rejections: search.rejections.clone(),
-        covariate_beats_catalogue: search.generic_driver_wins(),
-    }
+    let covariate_beats_catalogue = search.generic_driver_wins();
+    SearchResult { survivors, evidence, refitted, covariate_beats_catalogue, ..search.found.clone() }
 }
 
 /// The explanations of a size, the first of them the best so far; richer laws of it where something is left.
@@ -210,12 +209,12 @@ fn take(system: &dyn MeasurementModel, search: &mut Search, mut physical: Vec<Hy
     };
     physical[0] = continue_to_convergence(system, reflag_outliers(system, physical[0].clone()));
     let mut left = test(&physical[0], search.size);
-    if left.rejected() && refine_level(system, &search.base, &mut physical) {
+    if left.rejected() && refine_level(system, &search.found.base, &mut physical) {
         physical[0] = continue_to_convergence(system, reflag_outliers(system, physical[0].clone()));
         left = test(&physical[0], search.options.largest + search.size);
     }
-    (search.best, search.test) = (physical[0].clone(), left);
-    (search.level, search.refitted) = (physical.clone(), physical);
+    (search.found.best, search.found.last_test) = (physical[0].clone(), left);
+    (search.level, search.found.refitted) = (physical.clone(), physical);
     search.size += 1;
 }
 
@@ -405,10 +404,7 @@ fn single_readings(system: &dyn MeasurementModel, h: &Hypothesis) -> bool {
 
 /// The declared model, fitted without readings that stand far out of it.
 pub fn fit_declared_model(system: &dyn MeasurementModel, weights: &Weights, seed: u64) -> Option<Hypothesis> {
-    let plain = |weights: &Weights| {
-        let fit = fit(system, &[], weights, 15)?;
-        Some(Hypothesis { fit, weights: weights.clone(), flagged: Vec::new(), flag_p: 1.0 })
-    };
+    let plain = |weights: &Weights| Hypothesis::fitted(system, &[], weights, 15);
     let out =
         if outlier_index(system).is_some() { initial_outliers(system, weights, seed) } else { Vec::new() };
     if out.is_empty() {
@@ -420,12 +416,15 @@ pub fn fit_declared_model(system: &dyn MeasurementModel, weights: &Weights, seed
 
 /// Flags of a model that has changed: a reading that it explains is taken back.
 fn reflag_outliers(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
-    if h.flagged.is_empty() {
+    if h.flagged.is_empty() { h } else { flag_outliers(system, h) }
+}
+
+/// Single readings that stand out of an explanation, whatever was flagged before.
+pub fn flag_outliers(system: &dyn MeasurementModel, h: Hypothesis) -> Hypothesis {
+    if outlier_index(system).is_none() {
         return h;
     }
-    reject_outliers(system, &h.fit.terms, &h.fit, &h.weights).unwrap_or_else(|| {
-        let weights = h.weights.unmasked();
-        let refitted = fit(system, &h.fit.terms, &weights, 15);
-        refitted.map_or(h, |fit| Hypothesis { fit, weights, flagged: Vec::new(), flag_p: 1.0 })
-    })
+    let (terms, every) = (&h.fit.terms, h.weights.unmasked());
+    let anew = || (every != h.weights).then(|| Hypothesis::fitted(system, terms, &every, 15)).flatten();
+    reject_outliers(system, terms, &h.fit, &h.weights).or_else(anew).unwrap_or(h)
 }

@@ -11,6 +11,7 @@ use crate::effect::{EffectModel, EffectTerm, Role};
 use crate::measurement_model::MeasurementModel;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Signature of one law at one point of its shape grid.
 #[derive(Debug, Clone)]
@@ -31,18 +32,13 @@ pub struct Signature {
 
 /// The nuisance space of a fit: its design in each channel and its tangents.
 pub fn nuisance_basis(fit: &Fit) -> Basis {
-    let mut basis = Basis::default();
-    let channels = fit.residual.ncols();
-    // Every channel has coefficients of its own: a column is free in each.
-    for column in fit.design.column_iter() {
-        for c in 0..channels {
-            basis.push(&fit.in_channel(column.clone_owned().as_slice(), c));
-        }
-    }
-    for t in fit.stacked_tangents() {
-        basis.push(&t);
-    }
-    basis
+    nuisance_basis_without(fit, &(0..0))
+}
+
+/// The same without the columns `left_out` of the design.
+pub fn nuisance_basis_without(fit: &Fit, left_out: &Range<usize>) -> Basis {
+    let columns = (0..fit.design.ncols()).filter(|j| !left_out.contains(j));
+    Basis::of(columns.flat_map(|j| fit.column_directions(j)).chain(fit.tangents.iter().cloned()))
 }
 
 /// All points of a law's shape grids, amplitudes at zero.
@@ -67,7 +63,11 @@ fn grid(law: &EffectModel) -> Vec<Vec<f64>> {
     points
 }
 
-fn weighted(system: &dyn MeasurementModel, weights: &Weights, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
+fn whitened_design(
+    system: &dyn MeasurementModel,
+    weights: &Weights,
+    terms: &[EffectTerm],
+) -> Option<DMatrix<f64>> {
     Some(weights.apply(&system.design(terms)?))
 }
 
@@ -94,7 +94,7 @@ pub fn signatures_of_effect(
                 values[slot] = probe;
                 let mut terms = fit.terms.clone();
                 terms.push(EffectTerm { effect, law: index, values });
-                let Some(d) = weighted(system, weights, &terms) else { continue };
+                let Some(d) = whitened_design(system, weights, &terms) else { continue };
                 let Some(auxiliary_residual) = system.auxiliary_residual(&terms, weights) else { continue };
                 let change = (d.columns(0, base) - &fit.design) * &fit.coefficients;
                 raw.push(stack_with(&change, &(&fit.auxiliary_residual - auxiliary_residual)));
@@ -104,7 +104,7 @@ pub fn signatures_of_effect(
             if !law.linear.is_empty() {
                 let mut terms = fit.terms.clone();
                 terms.push(EffectTerm { effect, law: index, values: point.clone() });
-                if let Some(d) = weighted(system, weights, &terms) {
+                if let Some(d) = whitened_design(system, weights, &terms) {
                     for j in base..d.ncols() {
                         for c in 0..channels {
                             raw.push(fit.in_channel(d.column(j).clone_owned().as_slice(), c));

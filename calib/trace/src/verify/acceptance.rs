@@ -28,7 +28,7 @@ pub enum Unfit {
 impl Unfit {
     /// In a sentence; `unit` of the error.
     pub fn sentence(&self, unit: &str) -> String {
-        let with = |v: f64| format!("{} {unit}", readable(v)).trim_end().to_owned();
+        let with = |v: f64| format!("{} {unit}", format_significant(v)).trim_end().to_owned();
         match self {
             Self::Unusable(why) => why.clone(),
             Self::FarAboveFloor([error, floor]) => format!(
@@ -42,7 +42,7 @@ impl Unfit {
 }
 
 /// Three decimals, or an exponent where these would hide the number.
-pub fn readable(value: f64) -> String {
+pub fn format_significant(value: f64) -> String {
     if (0.01..1e6).contains(&value.abs()) { format!("{value:.3}") } else { format!("{value:.3e}") }
 }
 
@@ -63,7 +63,7 @@ pub fn far_above_floor<M: SessionModel>(
     let widening = errors.shared.map_or(1.0, |s| s.widening);
     let values = (readings * model.measured().ncols() as f64).max(1.0);
     let ratio = error / (floor.sd * errors.noise_ratio.max(1.0) * widening);
-    let dof = model.floor_dof(accepted).unwrap_or(FLOOR_DOF).max(1.0);
+    let dof = floor.dof.unwrap_or(FLOOR_DOF).max(1.0);
     let chance = f_tail(ratio * ratio, [values, dof])?;
     // A level that is left out at the end of the range is extrapolated to: intervals that say so, on a noise that is the floor's, are no fault.
     let stated = accepted.fit.readings_variance().sqrt() * model.noise_factor() <= FAR_ABOVE * floor.sd

@@ -12,19 +12,18 @@ use super::acceptance::far_above_floor;
 use super::decision::Decision;
 use super::error_summary::{coverage95, summarise};
 use super::left_out::{Errors, SharedNoise, noise_ratio};
-use super::refutation::refuted;
+use super::refutation::error_rise_test;
 use super::session_model::{HeldOut, Quantity, Record, SessionModel};
 use crate::error::TraceError;
-use crate::levels::{ABOVE_FLOOR, HOLDOUT, RIVAL, SINGLE_READINGS};
+use crate::levels::{ABOVE_FLOOR, HOLDOUT, RIVAL, SINGLE_READINGS, z};
 use crate::method::distributions::f_tail;
 use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
 use crate::method::linear::stack;
 use crate::method::noise::Noise;
-use crate::method::noise::tails::Tails;
 use nalgebra::DMatrix;
-use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
+use statrs::distribution::{ContinuousCDF, Normal};
 use wcal_core::verify_document::{HoldoutJudgement, HoldoutOutcome};
 use wcal_core::{Look, ResidualRecord};
 
@@ -64,7 +63,7 @@ pub fn assess<M: SessionModel>(
     let sd = noise.reading_sd(&whole.noise_inputs());
     let at = |h: &Hypothesis| whole.predict(h, &sd).ok_or(TraceError::NoSolution);
     let (before, after) = (at(base)?, at(accepted)?);
-    let flagged = flagged(&whole, [base, accepted], noise);
+    let flagged = holdout_outliers(&whole, [base, accepted], noise);
     let counts = whole.scored().contains(&true);
     let errors = counts.then(|| errors(&whole, [&before, &after], &flagged, noise, decision.seed));
     let holdout = match (&errors, look) {
@@ -126,7 +125,8 @@ fn judgement<M: SessionModel>(
     let of = |p: &M::Predictions| scored(whole, p, flagged);
     // Of two models the one that the other's readings speak against.
     let against = |wrong, right| {
-        refuted(&of(right), &of(wrong), &sd, look.level(2.0 * RIVAL)) && !accepted.fit.terms.is_empty()
+        error_rise_test(&of(right), &of(wrong), &sd, look.level(2.0 * RIVAL))
+            && !accepted.fit.terms.is_empty()
     };
     let unit = whole.quantities()[0].unit;
     let contradicted = |why: String| (HoldoutOutcome::Contradicted, why);
@@ -159,7 +159,7 @@ fn judgement<M: SessionModel>(
 }
 
 /// `sealed` with the quantities that no sealed reading shows (contacts, where no sealed pose has a picture), left out in turn.
-pub fn filled<M: SessionModel>(model: &M, mut sealed: Errors, in_turn: &Errors) -> Errors {
+pub fn fill_missing<M: SessionModel>(model: &M, mut sealed: Errors, in_turn: &Errors) -> Errors {
     let shown = |q: &&Quantity| !sealed.shows(q.key);
     let missing: Vec<&str> = model.quantities().iter().filter(shown).map(|q| q.key).collect();
     for (to, from) in [(&mut sealed.before, &in_turn.before), (&mut sealed.after, &in_turn.after)] {
@@ -183,7 +183,7 @@ fn residual<M: SessionModel>(whole: &M, h: &Hypothesis) -> Option<DMatrix<f64>> 
 }
 
 /// Sealed readings that no tails of the noise explain under any of `models`, as in the fit: single slips are no misfit.
-fn flagged<M: SessionModel>(whole: &M, models: [&Hypothesis; 2], noise: &Noise) -> Vec<usize> {
+fn holdout_outliers<M: SessionModel>(whole: &M, models: [&Hypothesis; 2], noise: &Noise) -> Vec<usize> {
     let rows: Vec<usize> = (0..whole.scored().len()).filter(|&i| whole.scored()[i]).collect();
     if !(noise.repeat.value > 0.0) {
         return Vec::new();
@@ -192,22 +192,12 @@ fn flagged<M: SessionModel>(whole: &M, models: [&Hypothesis; 2], noise: &Noise) 
         return Vec::new();
     };
     let sd = noise.reading_sd(&whole.noise_inputs());
-    let tail = |x: f64| match noise.tails {
-        Some(t) if t.heaviest.is_finite() => {
-            let scaled = x * noise_scale(&t);
-            StudentsT::new(0.0, 1.0, t.heaviest).map_or(1.0, |d| 2.0 * d.sf(scaled))
-        }
-        _ => 2.0 * Normal::standard().sf(x),
-    };
+    let heavy = noise.tails.filter(|t| t.heaviest.is_finite());
+    let tail = |x: f64| heavy.map_or_else(|| 2.0 * Normal::standard().sf(x), |t| t.two_sided(x));
     let level = SINGLE_READINGS / (whole.measured().ncols() * rows.len().max(1)) as f64;
     let beyond = |i: &usize| left.iter().all(|r| tail(r.row(*i).amax() / sd[*i]) < level);
     let out: Vec<usize> = rows.iter().copied().filter(beyond).collect();
     if out.len() as f64 > MAX_SHARE * rows.len() as f64 { Vec::new() } else { out }
-}
-
-/// From standard deviations to the scale of the heaviest tails.
-fn noise_scale(tails: &Tails) -> f64 {
-    1.0 / tails.heaviest_scale.max(1e-3)
 }
 
 /// p-value of the held-out residuals under the accepted model and the upper ends of its noise's parts, parameter covariance included
@@ -235,7 +225,7 @@ pub fn holdout_p<M: SessionModel>(
         return None;
     }
     // All channels share one law of the noise.
-    let own = noise.weights_of(&whole.noise_inputs(), true).covariance(&rows);
+    let own = noise.at_upper_ends().weights_of(&whole.noise_inputs()).covariance(&rows);
     let own = DMatrix::from_fn(count, count, |a, b| {
         if a % channels == b % channels { own[(a / channels, b / channels)] } else { 0.0 }
     });
@@ -243,11 +233,8 @@ pub fn holdout_p<M: SessionModel>(
     let mut whitened = shape.cholesky()?.l().solve_lower_triangular(&off)? / noise.repeat.value;
     if let Some(tails) = noise.tails.filter(|t| t.heavy && t.heaviest.is_finite()) {
         // Each value as far out as a Gaussian would have it with the same chance.
-        let (t, normal) = (StudentsT::new(0.0, 1.0, tails.heaviest).ok()?, Normal::standard());
-        let scale = noise_scale(&tails);
-        whitened.apply(|w| {
-            *w = w.signum() * normal.inverse_cdf(1.0 - t.sf(w.abs() * scale).clamp(1e-300, 0.5)).min(30.0)
-        });
+        let gaussian = |x: f64| z((0.5 * tails.two_sided(x)).clamp(1e-300, 0.5)).min(30.0);
+        whitened.apply(|w| *w = w.signum() * gaussian(w.abs()));
     }
     let f = whitened.norm_squared() / count as f64;
     f_tail(f, [count as f64, accepted.fit.dof])
@@ -262,8 +249,8 @@ fn shared_noise<M: SessionModel>(whole: &M, flagged: &[usize], noise: &Noise) ->
     let rows: Vec<usize> = (0..whole.scored().len()).filter(counts).collect();
     let step = rows.len().div_ceil(MAX_DENSE).max(1);
     let rows: Vec<usize> = rows.into_iter().step_by(step).collect();
-    let covariance = |upper: bool| noise.weights_of(&whole.noise_inputs(), upper).covariance(&rows);
-    let (c, estimated) = (covariance(true), covariance(false));
+    let covariance = |noise: &Noise| noise.weights_of(&whole.noise_inputs()).covariance(&rows);
+    let (c, estimated) = (covariance(&noise.at_upper_ends()), covariance(noise));
     SharedNoise {
         independent: c.trace().powi(2) / c.norm_squared(),
         widening: (c.trace() / estimated.trace()).max(1.0).sqrt(),

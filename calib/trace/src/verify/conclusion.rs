@@ -1,11 +1,10 @@
 //! The verdict, written once from what was found on the open readings, in the order of docs/src/formats.md.
 
-use super::acceptance::{Unfit, readable};
+use super::acceptance::{Unfit, format_significant};
 use super::explained::Explained;
 use super::session_model::SessionModel;
 use crate::effect::{EffectTerm, LawRequirement};
 use crate::error::TraceError;
-use crate::levels::REPLICATES;
 use crate::method::hypothesis::{Gate, Hypothesis};
 use crate::method::inference::equivalence_class;
 use crate::method::lack_of_fit::LackOfFit;
@@ -34,14 +33,8 @@ pub struct Conclusion {
     pub on_request: bool,
 }
 
-impl Conclusion {
-    /// Whether it says that the accepted model holds.
-    pub fn asserts_validity(&self) -> bool {
-        asserts(self.verdict, self.on_request)
-    }
-}
-
-fn asserts(verdict: Verdict, on_request: bool) -> bool {
+/// Whether a verdict says that the accepted model holds; one of several explanations does so where it was accepted by request.
+pub fn asserts_validity(verdict: Verdict, on_request: bool) -> bool {
     match verdict {
         Verdict::Adequate | Verdict::Effect | Verdict::TwinFault => true,
         Verdict::Ambiguous => on_request,
@@ -124,7 +117,7 @@ fn removal_p<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis, e
 }
 
 /// Names the effects of `h`; `class` comes from the survivors of its class.
-fn named<M: SessionModel>(
+fn named_effects<M: SessionModel>(
     model: &M,
     found: &SearchResult,
     h: &Hypothesis,
@@ -201,9 +194,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         let all = found.survivors.iter().zip(&same_class).filter(|_| something);
         let rivals = all.filter(|(h, of_class)| rival(h, **of_class)).map(|(h, _)| h.clone()).collect();
         let against_pure_error = model.lack_of_fit(found.accepted()).filter(|_| !explained.exact);
-        let lack = |(l, driver): (LackOfFit, UnknownEffect)| {
-            l.p_value.is_some_and(|p| p < REPLICATES).then_some(driver)
-        };
+        let lack = |(l, driver): (LackOfFit, UnknownEffect)| l.is_significant().then_some(driver);
         Self {
             model,
             explained,
@@ -256,7 +247,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
 
     /// Whether the verdict says that `accepted` holds, as far as fitted readings tell.
     pub fn asserts(&self, accepted: &Hypothesis, on_request: bool) -> bool {
-        asserts(self.verdict(&self.effects(accepted)), on_request)
+        asserts_validity(self.verdict(&self.effects(accepted)), on_request)
     }
 
     /// The names that a conclusion on `accepted` would list.
@@ -266,7 +257,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         let mates = found.survivors.iter().zip(&self.same_class).filter(|(_, same)| whole && **same);
         let mates: Vec<&Hypothesis> = mates.map(|(h, _)| h).collect();
         let mut effects =
-            if self.something { named(self.model, found, accepted, &mates) } else { Vec::new() };
+            if self.something { named_effects(self.model, found, accepted, &mates) } else { Vec::new() };
         effects.extend(self.model.noise_effect());
         effects
     }
@@ -316,10 +307,10 @@ impl<'a, M: SessionModel> Facts<'a, M> {
     ) -> Conclusion {
         let unit = self.model.quantities()[0].unit;
         let c = match withdrawn {
-            Some(withdrawn) => self.after_withdrawal(accepted, withdrawn, unit),
-            None => self.as_found(accepted, on_request),
+            Some(withdrawn) => self.conclude_withdrawal(accepted, withdrawn, unit),
+            None => self.conclude_search(accepted, on_request),
         };
-        match unfit.filter(|_| c.asserts_validity()) {
+        match unfit.filter(|_| asserts_validity(c.verdict, c.on_request)) {
             Some(unfit) => Conclusion {
                 verdict: Verdict::UnknownEffect,
                 reason: format!("{} {}", unfit.sentence(unit), c.reason),
@@ -329,7 +320,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         }
     }
 
-    fn as_found(&self, accepted: Hypothesis, on_request: bool) -> Conclusion {
+    fn conclude_search(&self, accepted: Hypothesis, on_request: bool) -> Conclusion {
         let (model, found) = (self.model, self.found());
         let effects = self.effects(&accepted);
         let verdict = self.verdict(&effects);
@@ -397,17 +388,16 @@ impl<'a, M: SessionModel> Facts<'a, M> {
     }
 
     /// The declared model, where the effects predict worse than it does: they are no explanation, and nothing of them stays.
-    fn after_withdrawal(&self, base: Hypothesis, withdrawn: &Withdrawn, unit: &str) -> Conclusion {
+    fn conclude_withdrawal(&self, base: Hypothesis, withdrawn: &Withdrawn, unit: &str) -> Conclusion {
         let effects: Vec<NamedEffect> = self.model.noise_effect().into_iter().collect();
-        let [before, after] = withdrawn.errors.map(readable);
+        let [before, after] = withdrawn.errors.map(format_significant);
         let changes = if withdrawn.errors[1] > withdrawn.errors[0] { "rises" } else { "hardly falls" };
         let found = format!(
             "The fitted readings support {}, but the error of readings left out in turn {changes} from {before} to {} with it: not accepted.",
             join(&withdrawn.names),
             format!("{after} {unit}").trim_end()
         );
-        let lack =
-            self.model.lack_of_fit(&base).is_some_and(|(l, _)| l.p_value.is_some_and(|p| p < REPLICATES));
+        let lack = self.model.lack_of_fit(&base).is_some_and(|(l, _)| l.is_significant());
         let (verdict, reason) = if self.found().first_test.generic() || lack {
             let left = "A residual remains that no catalogued effect explains.";
             (Verdict::UnknownEffect, format!("{found} {left}"))

@@ -6,18 +6,22 @@ use super::explained::Explained;
 use super::left_out::{LeftOut, leave_out};
 use super::request::VerifyRequest;
 use super::session_model::SessionModel;
-use super::support::supported;
+use crate::effect::Role;
 use crate::error::TraceError;
-use crate::levels::NEGLIGIBLE;
+use crate::levels::{CATALOGUE, NEGLIGIBLE};
 use crate::measurement_model::MeasurementModel;
 use crate::method::cross_validated_gain::retain_cross_validated;
+use crate::method::distributions::f_tail;
+use crate::method::fit::Fit;
 use crate::method::hypothesis::{Gate, Hypothesis, Rejection};
+use crate::method::inference::covariance;
 use crate::method::noise::Noise;
 use crate::method::noise_estimator::NoiseEstimator;
 use crate::method::omnibus::omnibus_test;
 use crate::method::options::Options;
 use crate::method::search::fit_declared_model;
 use crate::method::search_result::SearchResult;
+use nalgebra::{DMatrix, DVector};
 use wcal_core::verify_document::TwinFault;
 
 /// An explanation that readings left out in turn bear out.
@@ -37,7 +41,7 @@ pub struct Validated<M> {
     /// Its noise.
     pub noise: Noise,
     /// Errors of readings left out in turn.
-    pub left_out: LeftOut,
+    pub left_out: LeftOut<M>,
 }
 
 /// Cross-validates what the search found over whole trajectories, cycles or stimuli; each fold chooses anew among the refitted explanations.
@@ -49,7 +53,7 @@ pub fn cross_validate<M: SessionModel>(
     found: SearchResult,
     request: &VerifyRequest,
 ) -> Result<Validated<M>, TraceError> {
-    let (model, explained) = explained(e, found)?;
+    let (model, explained) = settle_noise(e, found)?;
     let (seed, faults) = (request.search.seed, model.twin_faults());
     let facts = Facts::of(&model, &explained, &faults);
     // What is asked for, else what the data support term by term.
@@ -58,14 +62,14 @@ pub fn cross_validate<M: SessionModel>(
     let mut accepted = match asked {
         Some(chosen) => chosen,
         None if facts.is_ambiguous() => facts.accepted().clone(),
-        None => supported(&model, &explained.found, facts.accepted()),
+        None => drop_unsupported(&model, &explained.found, facts.accepted()),
     };
     let (found, mut noise) = (&explained.found, &explained.noise);
     let mut left_out = leave_out(&model, found, &accepted, noise, on_request, seed);
     // Where each term has earned its gain over whole groups already, pictures among it, the first quantity's error alone says no more.
     let judged = model.cross_validates_terms() || accepted.fit.terms.is_empty() || on_request;
     let may_fall = !judged && facts.asserts(&accepted, on_request);
-    let rise = left_out.not_earned(&model).filter(|_| may_fall);
+    let rise = left_out.insufficient_gain(&model).filter(|_| may_fall);
     let names = |h: &Hypothesis| facts.effects(h).into_iter().map(|e| e.id).collect();
     let withdrawn = rise.map(|errors| Withdrawn { names: names(&accepted), errors });
     if withdrawn.is_some() {
@@ -81,20 +85,23 @@ pub fn cross_validate<M: SessionModel>(
 ///
 /// # Errors
 /// Where the declared model's residuals have no noise.
-fn explained<M: SessionModel>(e: Evidence<M>, mut found: SearchResult) -> Result<(M, Explained), TraceError> {
+fn settle_noise<M: SessionModel>(
+    e: Evidence<M>,
+    mut found: SearchResult,
+) -> Result<(M, Explained), TraceError> {
     let Evidence { model, options, correlated_gain, plain_test, exact, tests, rejections, .. } = e;
     found.rejections.extend(rejections);
     let judge = NoiseEstimator::new(&model, options.seed).with_correlated_gain(correlated_gain);
     let base =
         fit_declared_model(&model, &independent(&model), options.seed).ok_or(TraceError::NoSolution)?;
-    let declared_noise = judge.noise(&base, &[]).ok_or(TraceError::NoSolution)?.0;
+    let declared_noise = judge.noise(&base, &[]).ok_or(TraceError::NoSolution)?;
     if exact {
-        let noise = Noise::none(&declared_noise);
+        let noise = Noise::none(declared_noise.weights.len());
         let explained = Explained { found, declared_noise: noise.clone(), noise, exact, tests };
         return Ok((model, explained));
     }
     let nothing = found.best.fit.terms.is_empty() && found.failed_adequacy_test().is_none();
-    let correlated = |h: &Hypothesis| judge.noise(h, &[]).is_some_and(|n| n.0.correlated.is_some());
+    let correlated = |h: &Hypothesis| judge.noise(h, &[]).is_some_and(|n| n.correlated.is_some());
     if nothing
         && correlated(&found.best)
         && let Some(scores) = judge.covariate_scores(&found.best, &plain_test)
@@ -110,7 +117,7 @@ fn explained<M: SessionModel>(e: Evidence<M>, mut found: SearchResult) -> Result
         .and_then(|g| g.covariates.first())
         .map_or(Vec::new(), |d| d.columns.clone());
     let noise = judge.noise(&found.best, &columns).or_else(|| judge.noise(&found.best, &[]));
-    let noise = noise.map_or_else(|| declared_noise.clone(), |n| n.0);
+    let noise = noise.unwrap_or_else(|| declared_noise.clone());
     let mut explained = Explained { found, noise, declared_noise, exact, tests };
     model.complete(&mut explained, &options);
     Ok((model, explained))
@@ -136,4 +143,38 @@ fn withdraw_below_model_error(system: &dyn MeasurementModel, found: &mut SearchR
         found.rejections.push(Rejection { effects: names, gate: Gate::LeftOutError, why: String::new() });
     }
     found.last_test.within_model_error = small;
+}
+
+/// `h` without the terms that are none: beside the others each has to pass the level at which the search names. The least supported one
+/// first; itself where all are.
+fn drop_unsupported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Hypothesis {
+    let weakest = |kept: &Hypothesis, dropped: Vec<(usize, Hypothesis)>| {
+        let judged = dropped.into_iter().map(|d| (d.1.removal_p(&kept.fit, &found.first_test.family), d));
+        let none = |(p, (term, _)): &(f64, (usize, Hypothesis))| {
+            *p >= CATALOGUE || amplitudes_hold_zero(model, &kept.fit, *term)
+        };
+        judged.filter(none).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, d)| d)
+    };
+    h.eliminate(model, weakest).0
+}
+
+/// The joint 95 % region of a term's amplitudes, linear coefficients among them, holds zero (Wald). Each by itself may well hold it: sine and
+/// cosine of an error whose period is not known exactly do.
+fn amplitudes_hold_zero<M: SessionModel>(model: &M, fit: &Fit, term: usize) -> bool {
+    let (q, channels) = (fit.design.ncols(), fit.residual.ncols());
+    let (slots, of) = (&fit.slots(model.catalogue())[term], &fit.terms[term]);
+    let law = model.catalogue()[of.effect].law(of.law);
+    let linear = slots.columns.clone();
+    let linear = linear.flat_map(|j| (0..channels).map(move |k| (fit.coefficients[(j, k)], k * q + j)));
+    let values = law.parameters.iter().zip(of.values.iter().zip(slots.values.clone()));
+    let values = values
+        .filter(|(p, _)| matches!(p.role, Role::Amplitude { .. }))
+        .map(|(_, (value, k))| (*value, q * channels + k));
+    let amplitudes: Vec<(f64, usize)> = linear.chain(values).collect();
+    let (n, c) = (amplitudes.len(), covariance(fit, fit.variance()));
+    let values = DVector::from_iterator(n, amplitudes.iter().map(|a| a.0));
+    let spread = DMatrix::from_fn(n, n, |i, j| c[(amplitudes[i].1, amplitudes[j].1)]);
+    let Some(factor) = spread.cholesky() else { return true };
+    let f = values.dot(&factor.solve(&values)) / n as f64;
+    f_tail(f, [n as f64, fit.dof]).is_none_or(|p| p >= 0.05)
 }

@@ -44,7 +44,7 @@ impl<M: SessionModel> Decision<M> {
     }
 
     /// Errors of open readings that were left out in turn.
-    pub fn left_out(&self) -> &LeftOut {
+    pub fn left_out(&self) -> &LeftOut<M> {
         &self.of.left_out
     }
 
@@ -80,7 +80,7 @@ pub fn decide<M: SessionModel>(
     let unfit = unfit.or_else(|| far_above_floor(model, accepted, &left_out.errors, &floor, ABOVE_FLOOR));
     let facts = Facts::of(model, explained, faults);
     let conclusion = facts.conclude(accepted.clone(), *on_request, withdrawn.as_ref(), unfit);
-    let ablations = left_out.ablations(model, &explained.found, accepted, noise);
+    let ablations = left_out.ablations(model, &explained.found, accepted);
     let calibration = model.calibration(&explained.found.base, accepted, noise, floor.sd, seed);
     Ok(Decision { conclusion, floor, ablations, calibration, claims, seed, of })
 }
@@ -91,7 +91,7 @@ const STEPS: f64 = 100.0;
 const DIGITS: f64 = 1e4;
 
 /// `value` in steps of a hundredth of its standard error.
-fn rounded(value: f64, sd: f64) -> Value {
+fn round_to_error(value: f64, sd: f64) -> Value {
     let step = if sd > 0.0 && sd.is_finite() { sd / STEPS } else { value.abs() / DIGITS };
     if step > 0.0 { json!((value / step).round()) } else { json!(0.0) }
 }
@@ -101,10 +101,11 @@ impl<M: SessionModel> Decision<M> {
         let spread = covariance(&h.fit, h.fit.variance());
         let sd = |slot: usize| if slot < spread.nrows() { spread[(slot, slot)].max(0.0).sqrt() } else { 0.0 };
         // Slots of the covariance: coefficients channel by channel, then the nonlinear values.
-        let coefficients = h.fit.coefficients.iter().enumerate().map(|(slot, b)| rounded(*b, sd(slot)));
+        let coefficients =
+            h.fit.coefficients.iter().enumerate().map(|(slot, b)| round_to_error(*b, sd(slot)));
         let first = h.fit.coefficients.len();
         let values = h.fit.terms.iter().flat_map(|t| &t.values).enumerate();
-        let values = values.map(|(k, v)| rounded(*v, sd(first + k)));
+        let values = values.map(|(k, v)| round_to_error(*v, sd(first + k)));
         let law = |t: &crate::EffectTerm| {
             let effect = &self.of.model.catalogue()[t.effect];
             (effect.id.to_owned(), effect.law(t.law).name.to_owned())
@@ -127,7 +128,7 @@ impl<M: SessionModel> Decide for Decision<M> {
             "verdict": self.conclusion.verdict,
             "declared": self.of_hypothesis(&self.of.explained.found.base),
             "accepted": self.of_hypothesis(&self.conclusion.accepted),
-            "noise": rounded(repeat.value, (repeat.interval95[1] - repeat.interval95[0]) / 4.0),
+            "noise": round_to_error(repeat.value, (repeat.interval95[1] - repeat.interval95[0]) / 4.0),
             "quantities": self.of.model.quantities().iter().map(|q| q.key).collect::<Vec<_>>(),
             "claims": self.claims,
         })

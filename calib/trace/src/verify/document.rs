@@ -1,16 +1,16 @@
 //! verify.json from what was decided and what the sealed readings say of it.
 
-use super::assessment::{Assessment, filled};
+use super::assessment::{Assessment, fill_missing};
 use super::conclusion::{Conclusion, ids, laws};
 use super::decision::Decision;
 use super::detect;
 use super::explained::Explained;
 use super::left_out::Errors;
-use super::noise_report::{noise_document, noise_sentences};
 use super::session_model::{FloorStatement, SessionModel};
 use crate::method::hypothesis::{Gate, Hypothesis};
+use crate::method::noise::Noise;
 use wcal_core::verify_document::{
-    FlaggedReading, NoiseDocument, TwinCheck, Verdict, VerifyDocument, WitnessTest,
+    CorrelatedNoise, FlaggedReading, NoiseDocument, NoiseLaw, NoisePart, TwinCheck, Verdict, VerifyDocument,
 };
 
 /// The document; session, files and mark are the caller's.
@@ -29,12 +29,9 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         &found.first_test
     };
     let fit = if std::ptr::eq(test, &found.last_test) { &found.best.fit } else { &found.base.fit };
-    let effects = || conclusion.effects.iter().map(|e| e.id.clone()).collect();
-    let joined = model.joined_witness(found, &conclusion.accepted);
-    let joined = joined.map(|t| WitnessTest { effects: effects(), ..t });
     let in_turn = &of.left_out.errors;
     let errors = match &assessment.errors {
-        Some(sealed) => filled(model, sealed.clone(), in_turn),
+        Some(sealed) => fill_missing(model, sealed.clone(), in_turn),
         None => in_turn.clone(),
     };
     VerifyDocument {
@@ -43,7 +40,7 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         unknown: conclusion.unknown.clone(),
         twin: TwinCheck { faults: of.faults.clone() },
         noise_floor: floor.floor.clone(),
-        flagged: flagged(decision, assessment),
+        flagged: flagged_readings(decision, assessment),
         before: errors.before.clone(),
         after: errors.after.clone(),
         after_trimmed: errors.trimmed.as_ref().and_then(|[_, after]| after.clone()),
@@ -54,7 +51,7 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         notes: notes(model, explained, conclusion, floor, &noise, in_turn),
         leave_one_effect_out: decision.ablations.clone(),
         holdout: assessment.holdout.clone(),
-        tests: explained.tests.iter().cloned().chain(joined).collect(),
+        tests: explained.tests.clone(),
         noise,
         verdict: conclusion.verdict,
         ..VerifyDocument::refused("", model.kind(), reason(model, conclusion, floor, &errors), decision.seed)
@@ -68,7 +65,10 @@ fn reason<M: SessionModel>(model: &M, c: &Conclusion, floor: &FloorStatement, er
 }
 
 /// Readings that count in no fit or no held-out error.
-fn flagged<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment<M>) -> Vec<FlaggedReading> {
+fn flagged_readings<M: SessionModel>(
+    decision: &Decision<M>,
+    assessment: &Assessment<M>,
+) -> Vec<FlaggedReading> {
     let of = |m: &M, i: usize| {
         let origin = m.origin(i);
         FlaggedReading { source: origin.source, point: origin.point }
@@ -143,4 +143,72 @@ fn other_laws<M: SessionModel>(model: &M, explained: &Explained, conclusion: &Co
         explained.found.survivors.iter().filter(same).map(|h| laws(model, h).join(" with ")).collect();
     (!others.is_empty() && !own.is_empty())
         .then(|| format!("{} cannot be distinguished from {}.", own.join(" with "), others.join(" or ")))
+}
+
+/// Standard deviation of a value that is rounded to a step: uniform over the step.
+fn rounding_sd(step: f64) -> f64 {
+    step / 12f64.sqrt()
+}
+
+/// The parts, `session` from several sessions; what the design cannot tell is absent.
+fn noise_document(noise: &Noise, session: Option<NoisePart>, unit: &str) -> NoiseDocument {
+    let step = noise.step.iter().flatten().copied().fold(0.0, f64::max);
+    let rounding =
+        (step > 0.0).then(|| NoisePart { value: rounding_sd(step), interval95: [rounding_sd(step); 2] });
+    let heavy = noise.tails.filter(|t| t.heavy);
+    NoiseDocument {
+        repeat: Some(noise.repeat),
+        pose: noise.pose,
+        session,
+        correlated: noise.correlated.map(|(sd, tau)| CorrelatedNoise {
+            sd: sd.value,
+            interval95: sd.interval95,
+            time_constant_s: tau,
+        }),
+        rounding,
+        tails_dof: heavy.map(|t| NoisePart { value: t.dof, interval95: [t.heaviest, t.lightest.min(1e3)] }),
+        // Load and depth go from 0 to 1.
+        law: noise.law.as_ref().map(|l| NoiseLaw {
+            follows: l.follows.clone(),
+            ratio: l.spread.exponent.exp(),
+            interval95: l.spread.interval95.map(f64::exp),
+        }),
+        unit: unit.to_owned(),
+    }
+}
+
+/// The noise in one or two plain sentences; none where there is nothing to say beyond its size.
+fn noise_sentences(noise: &NoiseDocument) -> Vec<String> {
+    let unit = &noise.unit;
+    let mut out = Vec::new();
+    if let (Some(repeat), Some(pose)) = (noise.repeat, noise.pose.filter(|p| p.interval95[0] > 0.0)) {
+        out.push(format!(
+            "Repeats of a held pose agree to {:.3} {unit}; setting the pose anew adds {:.3} [{:.3}, {:.3}] {unit}.",
+            repeat.value, pose.value, pose.interval95[0], pose.interval95[1]
+        ));
+    }
+    if let Some(c) = noise.correlated {
+        out.push(format!(
+            "Part of the noise is correlated in time: {:.3} [{:.3}, {:.3}] {unit} with a time constant of {:.0} s; an effect is named only where \
+             it goes beyond that.",
+            c.sd, c.interval95[0], c.interval95[1], c.time_constant_s
+        ));
+    }
+    if let Some(law) = &noise.law {
+        let (more, ratio) = if law.ratio >= 1.0 { ("more", law.ratio) } else { ("less", 1.0 / law.ratio) };
+        out.push(format!(
+            "The readings scatter {ratio:.1} times {more} at the largest {} than at the smallest.",
+            law.follows
+        ));
+    }
+    if let Some(tails) = noise.tails_dof {
+        out.push(format!(
+            "The noise has heavier tails than a Gaussian (Student's t with {:.0} degrees of freedom [{:.0}, {:.0}]).",
+            tails.value, tails.interval95[0], tails.interval95[1]
+        ));
+    }
+    if let Some(rounding) = noise.rounding {
+        out.push(format!("Values are rounded: {:.3} {unit} of the noise at least.", rounding.value));
+    }
+    out
 }

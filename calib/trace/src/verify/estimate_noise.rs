@@ -6,7 +6,7 @@ use super::session_model::SessionModel;
 use crate::error::TraceError;
 use crate::measurement_model::MeasurementModel;
 use crate::method::admissible::REFIT_STEPS;
-use crate::method::fit::{Weights, fit};
+use crate::method::fit::Weights;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::CORRELATED_PRICE;
 use crate::method::noise_estimator::{NoiseEstimator, same_whitening};
@@ -37,29 +37,29 @@ pub fn fit_baseline<M: SessionModel>(model: M, request: &VerifyRequest) -> Resul
 /// was made under: it begins anew.
 pub fn estimate_noise<M: SessionModel>(e: &mut Evidence<M>) -> bool {
     let seed = e.options.seed;
-    if is_interpolated(&e.model, &e.search.base) {
-        e.search.best = e.search.base.clone();
+    if is_interpolated(&e.model, &e.search.found.base) {
+        e.search.found.best = e.search.found.base.clone();
         e.exact = true;
         return false;
     }
     // Neighbours share something: whether it is noise or an effect is the question, not whether it is there.
-    if e.search.test.generic() {
+    if e.search.found.last_test.generic() {
         e.correlated_gain = CORRELATED_PRICE;
     }
     let judge = NoiseEstimator::new(&e.model, seed).with_correlated_gain(e.correlated_gain);
-    let kept = judge.backward_eliminate(&e.search.best, &e.search.first_test.family);
-    let Some((noise, _)) = judge.noise(&kept, &[]) else { return false };
-    let dropped = kept.fit.terms.len() < e.search.best.fit.terms.len();
+    let kept = judge.backward_eliminate(&e.search.found.best, &e.search.found.first_test.family);
+    let Some(noise) = judge.noise(&kept, &[]) else { return false };
+    let dropped = kept.fit.terms.len() < e.search.found.best.fit.terms.len();
     let tails_dof = noise.tails.filter(|t| t.heavy).map(|t| t.dof);
     let heavier = tails_dof.is_some() && e.options.tails_dof.is_none() && e.search.is_inadequate();
     let changed = dropped || heavier || !same_whitening(&noise.weights, &e.weights);
     // What correlated noise would swallow may be an effect that no catalogue has: the better description stands.
-    let scores = (changed && !dropped && e.search.test.generic())
-        .then(|| judge.covariate_scores(&kept, &e.search.test))
+    let scores = (changed && !dropped && e.search.found.last_test.generic())
+        .then(|| judge.covariate_scores(&kept, &e.search.found.last_test))
         .flatten();
     let settled = !changed || scores.is_some();
     if let Some(scores) = scores {
-        e.search.test.covariates = scores;
+        e.search.found.last_test.covariates = scores;
     }
     // An effect that was not declared hides how the instrument is, too.
     let renewed = e.model.renewed(e.search.accepted(), settled, seed);
@@ -82,6 +82,6 @@ fn weights_of<M: SessionModel>(
 ) -> Option<Weights> {
     let judge = NoiseEstimator::new(model, seed).with_correlated_gain(correlated_gain);
     let weights = independent(model).masked(|i| h.weights.counts(i));
-    let refitted = Hypothesis { fit: fit(model, &h.fit.terms, &weights, REFIT_STEPS)?, weights, ..h.clone() };
-    Some(judge.noise(&refitted, &[])?.0.weights.unmasked())
+    let refitted = Hypothesis::fitted(model, &h.fit.terms, &weights, REFIT_STEPS)?;
+    Some(judge.noise(&refitted, &[])?.weights.unmasked())
 }

@@ -3,7 +3,7 @@
 use super::session_model::SessionModel;
 use crate::error::TraceError;
 use crate::method::fit::Weights;
-use crate::method::hypothesis::{Hypothesis, Rejection};
+use crate::method::hypothesis::Rejection;
 use crate::method::noise::correlated_gain;
 use crate::method::omnibus::OmnibusTest;
 use crate::method::options::Options;
@@ -47,7 +47,7 @@ impl<M: SessionModel> Evidence<M> {
     pub fn new(model: M, options: Options) -> Result<Self, TraceError> {
         let weights = independent(&model);
         let search = Search::new(&model, &weights, &options).ok_or(TraceError::NoSolution)?;
-        let (plain_test, correlated_gain) = (search.first_test.clone(), correlated_gain());
+        let (plain_test, correlated_gain) = (search.found.first_test.clone(), correlated_gain());
         Ok(Self {
             model,
             options,
@@ -82,11 +82,6 @@ impl<M: SessionModel> Evidence<M> {
         let Some(search) = search else { return false };
         (self.weights, self.search) = (weights, search);
         true
-    }
-
-    /// Identifiers of an explanation's terms.
-    pub fn names(&self, h: &Hypothesis) -> Vec<String> {
-        h.fit.terms.iter().map(|t| self.model.catalogue()[t.effect].id.to_owned()).collect()
     }
 }
 

@@ -20,7 +20,7 @@ use std::collections::BTreeMap;
 const BEYOND_GROUPS: f64 = 2.0;
 
 /// Whether readings with standard deviations `sd` are so much worse under `after` that it cannot be right, as chance shows at `level`.
-pub fn refuted(before: &[HeldOut], after: &[HeldOut], sd: &[f64], level: f64) -> bool {
+pub fn error_rise_test(before: &[HeldOut], after: &[HeldOut], sd: &[f64], level: f64) -> bool {
     let (mut gain, mut change) = (0.0, 0.0);
     let mut rises: BTreeMap<u32, f64> = BTreeMap::new();
     for ((b, a), sd) in before.iter().zip(after).zip(sd) {
@@ -63,16 +63,16 @@ mod tests {
         let noise = [0.4, -1.1, 0.7, 1.3, -0.2, -0.9];
         // Both models predict alike to a tenth of the noise: the error rises, but not beyond chance.
         let slightly: Vec<f64> = noise.iter().map(|e| e + 0.1 * f64::signum(*e)).collect();
-        assert!(!refuted(&rows(&noise), &rows(&slightly), &sd, 0.01));
+        assert!(!error_rise_test(&rows(&noise), &rows(&slightly), &sd, 0.01));
         // Control: readings that the explanation moves by three standard deviations the wrong way.
         let moved: Vec<f64> = noise.iter().map(|e| e + 3.0).collect();
-        assert!(refuted(&rows(&noise), &rows(&moved), &sd, 0.01));
-        assert!(!refuted(&rows(&moved), &rows(&noise), &sd, 0.01), "the right explanation");
-        assert!(!refuted(&rows(&noise), &rows(&noise), &sd, 0.01), "the same predictions");
+        assert!(error_rise_test(&rows(&noise), &rows(&moved), &sd, 0.01));
+        assert!(!error_rise_test(&rows(&moved), &rows(&noise), &sd, 0.01), "the right explanation");
+        assert!(!error_rise_test(&rows(&noise), &rows(&noise), &sd, 0.01), "the same predictions");
         // One group of three is off: its shared error, not the explanation's.
         let mut one = noise;
         one[0] += 8.0;
         one[1] += 8.0;
-        assert!(!refuted(&rows(&noise), &rows(&one), &sd, 0.01));
+        assert!(!error_rise_test(&rows(&noise), &rows(&one), &sd, 0.01));
     }
 }

@@ -11,7 +11,6 @@ use crate::verify::explained::Explained;
 use wcal_core::observation::Role;
 use wcal_core::verify_document::{
     EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, NoisePart, TwinFault, UnknownEffect,
-    WitnessTest,
 };
 use wcal_core::{ResidualRecord, Sealed};
 
@@ -72,6 +71,8 @@ pub struct FloorStatement {
     pub note: Option<String>,
     /// Standard deviation of a typical reading under it, in the sensor's unit.
     pub sd: f64,
+    /// Degrees of freedom of the replicates that it comes from, where they are counted.
+    pub dof: Option<f64>,
 }
 
 /// What a reader of this kind of session calls things: units, names, sentences. No statistics.
@@ -110,7 +111,7 @@ pub trait SessionText: MeasurementModel {
 
 /// A session as a measurement model: prediction, nuisances and catalogue by [`MeasurementModel`], words by [`SessionText`]; predictions, noise and
 /// checks here.
-pub trait SessionModel: SessionText + Sized {
+pub trait SessionModel: SessionText + Sized + Send {
     /// A row as it was loaded.
     type Row;
     /// Predictions at every reading.
@@ -118,10 +119,6 @@ pub trait SessionModel: SessionText + Sized {
     /// The accepted model as a calibration keeps it.
     type Calibration;
 
-    /// From the noise in the engine's channels to that of a measured value: mean of the channels.
-    fn noise_factor(&self) -> f64 {
-        1.0
-    }
     /// Where a reading comes from.
     fn origin(&self, reading: usize) -> Origin;
     /// Fitted values of an effect with intervals, in the session's units.
@@ -162,11 +159,6 @@ pub trait SessionModel: SessionText + Sized {
     }
     /// Floor under the accepted model; `left`: something is left, so that only replicates tell.
     fn floor(&self, h: &Hypothesis, noise: &Noise, left: bool) -> FloorStatement;
-
-    /// Degrees of freedom of the replicates that the floor comes from, where they are counted.
-    fn floor_dof(&self, _h: &Hypothesis) -> Option<f64> {
-        None
-    }
 
     /// Next measurement: what would decide between the best explanation and its rivals of another class.
     fn next_measurement(&self, best: &Hypothesis, rivals: &[&Hypothesis]) -> Option<NextMeasurement>;
@@ -214,10 +206,6 @@ pub trait SessionModel: SessionText + Sized {
         after: &Self::Predictions,
         at: &Record,
     ) -> Vec<ResidualRecord>;
-    /// What a witness that joins the fit says of the accepted model; none without one.
-    fn joined_witness(&self, _found: &SearchResult, _accepted: &Hypothesis) -> Option<WitnessTest> {
-        None
-    }
     /// How the zero varies from session to session, where several were joined.
     fn seating_repeatability(&self, _accepted: &Hypothesis) -> Option<NoisePart> {
         None

@@ -41,7 +41,7 @@ pub fn test_witnesses<M: SessionModel>(
         }
         let (gone, left): (Vec<_>, Vec<_>) =
             found.survivors.iter().cloned().zip(refuted).partition(|(_, refuted)| *refuted);
-        let names: Vec<Vec<String>> = gone.iter().map(|(h, _)| e.names(h)).collect();
+        let names: Vec<Vec<String>> = gone.iter().map(|(h, _)| h.term_ids(e.model.catalogue())).collect();
         if left.is_empty() {
             let shared = |id: &&String| names.iter().all(|effects| effects.contains(id));
             more.extend(names[0].iter().filter(shared).cloned());
@@ -67,8 +67,7 @@ pub fn test<M: SessionModel>(
     h: &Hypothesis,
     tests: &mut Vec<WitnessTest>,
 ) -> Result<Option<WitnessTest>, TraceError> {
-    let effects: Vec<String> =
-        h.fit.terms.iter().map(|t| model.catalogue()[t.effect].id.to_owned()).collect();
+    let effects = h.term_ids(model.catalogue());
     let Some(test) = witness.test(model, h)? else { return Ok(None) };
     let test = WitnessTest { effects, ..test };
     if tests.iter().all(|t| (&t.witness, &t.effects) != (&test.witness, &test.effects)) {

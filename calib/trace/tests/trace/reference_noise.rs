@@ -7,6 +7,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 use wcal_core::SessionData;
 use wcal_core::observation::WhiskerData;
+use wcal_trace::MeasurementModel;
 use wcal_trace::method::fit::{Weights, fit};
 use wcal_trace::method::omnibus::{OmnibusTest, omnibus_test};
 use wcal_trace::method::options::Options;
@@ -65,7 +66,7 @@ fn judged(data: &WhiskerData, seed: u64) -> (OmnibusTest, f64) {
     let fit = fit(&system, &[], &weights, 15).unwrap();
     (
         omnibus_test(&system, &fit, &weights, &Options { seed, draws: 500, ..Options::default() }),
-        system.noise_sd_pm(&fit),
+        fit.variance().sqrt() * system.noise_factor(),
     )
 }
 

@@ -123,7 +123,7 @@ fn labels_about_other_axes_are_named_with_what_would_fit() {
 fn the_floor_comes_from_replicates_or_says_that_it_does_not() {
     let (_, rich, found) = null();
     let noise_of =
-        |system: &WhiskerSystem, h: &Hypothesis| NoiseEstimator::new(system, 1).noise(h, &[]).unwrap().0;
+        |system: &WhiskerSystem, h: &Hypothesis| NoiseEstimator::new(system, 1).noise(h, &[]).unwrap();
     let floor = noise_floor(rich, &found.base, &noise_of(rich, &found.base), false).unwrap();
     assert_eq!(floor.source, "replicates");
     // Nothing acts there: pure error and residual agree within their scatter.
@@ -142,7 +142,7 @@ fn the_floor_comes_from_replicates_or_says_that_it_does_not() {
 #[test]
 fn a_session_without_effect_is_adequate_and_only_its_labels_can_change_that() {
     let (_, system, found) = null();
-    let noise = NoiseEstimator::new(system, 1).noise(&found.base, &[]).unwrap().0;
+    let noise = NoiseEstimator::new(system, 1).noise(&found.base, &[]).unwrap();
     let (found, declared_noise) = (found.clone(), noise.clone());
     let explained = Explained { found, noise, declared_noise, exact: false, tests: Vec::new() };
     let verdict = |faults: &[TwinFault]| {
@@ -222,7 +222,7 @@ fn a_holdout_like_the_points_agrees_and_a_moved_one_does_not() {
         let mut rows = rows.clone();
         rows.iter_mut().for_each(|r| r.shift_pm[0] += moved_pm);
         let whole = system.with_holdout(&rows).unwrap();
-        let noise = NoiseEstimator::new(system, 1).noise(&found.base, &[]).unwrap().0;
+        let noise = NoiseEstimator::new(system, 1).noise(&found.base, &[]).unwrap();
         holdout_p(&whole, &found.base, &noise, &[]).unwrap()
     };
     assert!(p_of(0.0) > 0.01);

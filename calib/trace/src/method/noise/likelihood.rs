@@ -155,13 +155,13 @@ pub(super) fn best_of<const K: usize>(
 
 /// Whitened residuals in standard deviations, each over the share of its variance that the fit leaves, channel by channel; only readings
 /// that count.
-pub(super) fn standardised(model: &MeanModel, weights: &Weights, s: f64) -> Option<Vec<f64>> {
-    let parts = standardised_by_channel(model, weights, s)?;
+pub(super) fn studentised_residuals(model: &MeanModel, weights: &Weights, s: f64) -> Option<Vec<f64>> {
+    let parts = studentised_by_channel(model, weights, s)?;
     Some(parts.into_iter().flat_map(|(_, z)| z).collect())
 }
 
 /// Reading and its standardised residuals in every channel.
-pub(super) fn standardised_by_channel(
+pub(super) fn studentised_by_channel(
     model: &MeanModel,
     weights: &Weights,
     s: f64,

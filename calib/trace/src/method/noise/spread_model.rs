@@ -5,7 +5,7 @@
 //! ```
 
 use super::inputs::NoiseInputs;
-use super::likelihood::{MeanModel, restricted_likelihood, standardised_by_channel};
+use super::likelihood::{MeanModel, restricted_likelihood, studentised_by_channel};
 use super::spread::{Spread, heteroscedasticity_test};
 use super::whitening::Weights;
 use crate::levels::SPREAD;
@@ -49,7 +49,7 @@ pub(super) fn fit_variance_function(
     if inputs.spread.is_empty() {
         return None;
     }
-    let rows = standardised_by_channel(model, weights, 1.0)?;
+    let rows = studentised_by_channel(model, weights, 1.0)?;
     let channels = model.residual.ncols();
     let mut best: Option<(f64, SpreadModel)> = None;
     for (name, values) in &inputs.spread {

@@ -35,6 +35,13 @@ pub struct Tails {
     pub heavy: bool,
 }
 
+impl Tails {
+    /// Chance of a value beyond `x` standard deviations on either side, by the heaviest tails.
+    pub fn two_sided(&self, x: f64) -> f64 {
+        two_sided_tail(self.heaviest, x / self.heaviest_scale.max(1e-3))
+    }
+}
+
 /// P(|t_nu| > x).
 fn two_sided_tail(nu: f64, x: f64) -> f64 {
     if nu.is_infinite() {

@@ -164,7 +164,7 @@ impl<'a> Contest<'a> {
     /// The place of the bends of `h`; `waves`: its waves over the stimulus stay beside them.
     fn of(system: &'a ScalarSystem, h: &'a Hypothesis, noise: &Noise, waves: bool) -> Self {
         let rows: Vec<usize> = (0..system.frame.rows.len()).collect();
-        let mut covariance = noise.weights_of(&system.noise_inputs(), false).covariance(&rows);
+        let mut covariance = noise.weights_of(&system.noise_inputs()).covariance(&rows);
         let scale = |i: usize| h.weights.relative()[i] * noise.repeat.value;
         covariance
             .iter_mut()

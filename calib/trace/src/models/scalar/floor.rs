@@ -72,7 +72,7 @@ fn keys(frame: &Frame, direction: Option<&[f64]>) -> Vec<u64> {
 /// Floor from the residuals of the accepted explanation, so that drifts and temperature are out of it.
 pub fn noise_floor(system: &ScalarSystem, h: &Hypothesis, noise: &Noise) -> Option<Floor> {
     let frame = &system.frame;
-    let shape = noise.weights_of(&system.noise_inputs(), false);
+    let shape = noise.weights_of(&system.noise_inputs());
     let counts = |i: &usize| h.weights.counts(*i);
     let scatter = Scatter { h, shape };
     // Readings of one stimulus and direction: n - 1 degrees of freedom a cell.

@@ -255,11 +255,8 @@ impl SessionModel for ScalarSystem {
         } else {
             NoiseFloor { response: sd, source, ..NoiseFloor::default() }
         };
-        FloorStatement { floor, sd: sd.unwrap_or(noise.repeat.value), ..FloorStatement::default() }
-    }
-
-    fn floor_dof(&self, h: &Hypothesis) -> Option<f64> {
-        self.pure_error(h).map(|l| l.pure_dof)
+        let dof = self.pure_error(h).map(|l| l.pure_dof);
+        FloorStatement { floor, sd: sd.unwrap_or(noise.repeat.value), dof, ..FloorStatement::default() }
     }
 
     fn next_measurement(&self, best: &Hypothesis, rivals: &[&Hypothesis]) -> Option<NextMeasurement> {

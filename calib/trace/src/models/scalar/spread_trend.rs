@@ -2,7 +2,7 @@
 
 use super::stationarity::{UNSTEADY, stationarity};
 use super::system::ScalarSystem;
-use crate::levels::{REPLICATES, SPREAD};
+use crate::levels::SPREAD;
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::noise::spread::{SPREAD_REMARK, Spread, heteroscedasticity_test};
@@ -63,7 +63,7 @@ pub(super) fn with_spread_of(
     seed: u64,
 ) -> Option<ScalarSystem> {
     // What a model leaves where repeats contradict it grows where it is wrong: that is no noise.
-    let contradicted = system.pure_error(accepted).is_some_and(|l| l.p_value.is_some_and(|p| p < REPLICATES));
+    let contradicted = system.pure_error(accepted).is_some_and(|l| l.is_significant());
     // Nor is it that a period which is not steady leaves more toward the ends.
     let steady = || stationarity(system, accepted).is_none_or(|s| s.z <= UNSTEADY);
     let found = test_spread(system, accepted, seed)

@@ -128,7 +128,7 @@ fn mechanics(path: &WhiskerPath, rod_of: RodOf<'_>, model: &PhysicalModel) -> Op
 }
 
 /// The readings of a path, and the stage positions of its nodes.
-fn through(
+fn calibrate_readings(
     path: &WhiskerPath,
     rod_of: RodOf<'_>,
     model: &PhysicalModel,
@@ -140,7 +140,7 @@ fn through(
     let sensed = model.sensed(&terms, path, &inverse);
     let noise_pm = vec![model.noise_sd_pm; sensed.len()];
     let (gradients, _) = model.gradients(&terms, path, &sensed, &inverse, &noise_pm);
-    let (factor, mechanical) = factor(model);
+    let (factor, mechanical) = covariance_root(model);
     let others = factor.column_iter().map(|f| mechanics(path, rod_of, &with_values(model, f.as_slice())));
     let others = others.collect::<Option<Vec<Mechanics>>>()?;
     // Of a typical reading; one that averages fewer samples has more.
@@ -172,7 +172,7 @@ fn through(
 /// position would take theirs from the groove's place: the system must have none.
 pub fn of_model(system: &WhiskerSystem, model: &PhysicalModel) -> Option<GrooveMotion> {
     let (SensedReadings { wire, changed, readings: sensed }, xs_mm) =
-        through(&system.path, &|rod| system.rod_tables.rod(rod), model)?;
+        calibrate_readings(&system.path, &|rod| system.rod_tables.rod(rod), model)?;
     let mut readings = readings(system, &xs_mm, &sensed);
     let correlated = model.correlated_noise.map(|c| {
         // Both parts as they were found together: their sum need not be the floor's.
@@ -190,7 +190,7 @@ pub fn of_readings(
     whisker: &WhiskerSpec,
     model: &PhysicalModel,
 ) -> Option<SensedReadings> {
-    through(path, &|rod| rod_of(whisker, AIR_KG_M3, rod), model).map(|found| found.0)
+    calibrate_readings(path, &|rod| rod_of(whisker, AIR_KG_M3, rod), model).map(|found| found.0)
 }
 
 fn sensed_by_map(predictor: &mut MapPredictor, shift_pm: [f64; 2]) -> CalibratedReading {
@@ -293,7 +293,7 @@ fn is_mechanical(effect: &ActiveEffect) -> bool {
 }
 
 /// F with cov(theta) = F F', and how many of its first columns change the wire.
-pub(super) fn factor(model: &PhysicalModel) -> (DMatrix<f64>, usize) {
+pub(super) fn covariance_root(model: &PhysicalModel) -> (DMatrix<f64>, usize) {
     const LEAST: f64 = 1e-12;
     let size = model.covariance.len();
     // Values of the wire's effects first.
@@ -359,7 +359,7 @@ mod tests {
         let friction = effect("groove-friction", "coulomb", vec![0.2]);
         for (effects, wires) in [(vec![], 0), (vec![lag.clone()], 0), (vec![lag, friction], 1)] {
             let model = model(effects);
-            let (f, mechanical) = factor(&model);
+            let (f, mechanical) = covariance_root(&model);
             assert_eq!(mechanical, wires);
             let again = &f * f.transpose();
             for (i, row) in model.covariance.iter().enumerate() {

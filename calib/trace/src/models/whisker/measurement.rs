@@ -21,7 +21,7 @@ use crate::method::noise::Noise;
 use crate::method::noise_estimator::noise_for_predictions;
 use crate::method::search_result::SearchResult;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
-use crate::verify::{HeldOut, SessionModel, SessionText};
+use crate::verify::{HeldOut, SessionModel, SessionText, Witness};
 use nalgebra::Vector2;
 use wcal_core::observation::WhiskerRow;
 use wcal_core::verify_document::{
@@ -92,11 +92,11 @@ impl SessionText for WhiskerSystem {
 
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
         let mut notes = vec!["Moments are in the twin's scale: an error of EI is absorbed by K.".to_owned()];
-        notes.extend(model_error(found));
-        notes.extend(unsteady(self));
-        notes.extend(clock(self));
-        notes.extend(pairs_left_out(self));
-        notes.extend(self.joined_witness(found, accepted).map(|t| t.sentence));
+        notes.extend(note_model_error(found));
+        notes.extend(note_unsteady(self));
+        notes.extend(note_clock(self));
+        notes.extend(note_pairs_left_out(self));
+        notes.extend(picture_note(self, found, accepted));
         notes.extend(spread_of_zeros(self, &accepted.fit).map(|b| b.note()));
         notes
     }
@@ -106,10 +106,6 @@ impl SessionModel for WhiskerSystem {
     type Row = WhiskerRow;
     type Predictions = Predictions;
     type Calibration = PhysicalModel;
-
-    fn noise_factor(&self) -> f64 {
-        Self::noise_factor(self)
-    }
 
     fn origin(&self, reading: usize) -> Origin {
         let row = self.row(reading);
@@ -131,7 +127,7 @@ impl SessionModel for WhiskerSystem {
     fn prepared(self, declared: &dyn Fn(&Self) -> Option<Hypothesis>) -> Option<Self> {
         let base = declared(&self)?;
         let system = self.whitened(&base.fit);
-        let set_s = stage_clock::aligned(&system, &base, false);
+        let set_s = stage_clock::estimate_alignment(&system, &base, false);
         let system = system.with_stage_clock(set_s);
         if system.pictures().is_none() {
             return Some(system);
@@ -146,7 +142,7 @@ impl SessionModel for WhiskerSystem {
         let again = reweight_pictures(self.clone().whitened(fit), fit, self);
         let own = |s: &Self| s.pictures().map_or(1.0, Pictures::independent_variance_share);
         let lagged = fit.terms.iter().any(|t| is_lag(self, t.effect));
-        let set_s = stage_clock::aligned(&again, accepted, lagged);
+        let set_s = stage_clock::estimate_alignment(&again, accepted, lagged);
         let again = again.with_stage_clock(set_s);
         let moved = (set_s - self.stage_clock_s()).abs() > CLOCK_CHANGED_S;
         let changes = [
@@ -163,7 +159,7 @@ impl SessionModel for WhiskerSystem {
 
     fn floor(&self, h: &Hypothesis, noise: &Noise, left: bool) -> FloorStatement {
         let floor = noise_floor(self, h, noise, left);
-        let sd = floor.map_or_else(|| noise.repeat.value * Self::noise_factor(self), |f| f.sd_pm);
+        let sd = floor.map_or_else(|| noise.repeat.value * self.noise_factor(), |f| f.sd_pm);
         let gain = PhysicalModel::new(self, h, sd).sensitivity().determinant().abs().sqrt();
         let replicated = floor.is_some_and(|f| f.source == "replicates");
         let provisional =
@@ -180,16 +176,14 @@ impl SessionModel for WhiskerSystem {
             reason: if replicated { String::new() } else { provisional.to_owned() },
             note: floor.and_then(|f| f.remark()),
             sd,
+            dof: None,
         }
     }
 
     fn next_measurement(&self, best: &Hypothesis, rivals: &[&Hypothesis]) -> Option<NextMeasurement> {
         // Only what the poses are chosen against is promised to be separated.
         let nearest = &rivals[..rivals.len().min(RIVALS)];
-        let effects = |h: &Hypothesis| -> String {
-            let ids: Vec<&str> = h.fit.terms.iter().map(|t| self.catalogue()[t.effect].id).collect();
-            ids.join(" with ")
-        };
+        let effects = |h: &Hypothesis| h.term_ids(self.catalogue()).join(" with ");
         let names = std::iter::once(best).chain(nearest.iter().copied()).map(effects).collect();
         next::next_measurement(self, best, nearest, names)
     }
@@ -208,7 +202,7 @@ impl SessionModel for WhiskerSystem {
     }
 
     fn predict(&self, h: &Hypothesis, reading_sd: &[f64]) -> Option<Predictions> {
-        let sd_pm: Vec<f64> = reading_sd.iter().map(|sd| sd * Self::noise_factor(self)).collect();
+        let sd_pm: Vec<f64> = reading_sd.iter().map(|sd| sd * self.noise_factor()).collect();
         let typical = sd_pm.iter().sum::<f64>() / sd_pm.len().max(1) as f64;
         predict(self, h, &PhysicalModel::new(self, h, typical), &sd_pm)
     }
@@ -259,9 +253,7 @@ impl SessionModel for WhiskerSystem {
     ) -> PhysicalModel {
         let predicting = noise_for_predictions(self, accepted, seed);
         let noise = predicting.as_ref().unwrap_or(noise);
-        PhysicalModel::new(self, accepted, floor_sd)
-            .with_correlated(noise, Self::noise_factor(self), self.path.columns.time)
-            .with_averaging(self, noise)
+        PhysicalModel::new(self, accepted, floor_sd).with_noise(self, noise)
     }
 
     fn predict_by_labels(&self, weights: &Weights) -> Option<Predictions> {
@@ -288,52 +280,60 @@ impl SessionModel for WhiskerSystem {
         (0..2).map(of_channel).collect()
     }
 
-    fn joined_witness(&self, found: &SearchResult, accepted: &Hypothesis) -> Option<WitnessTest> {
-        let (pictures, base, fit) = (self.pictures()?, &found.base.fit, &accepted.fit);
-        let share = pictures.independent_variance_share();
-        let (chi, dof) = (share * reduced_chi(fit, self.picture_scale()), fit.witness_count as f64);
-        let gains = [
-            (base.residual.norm_squared() - fit.residual.norm_squared()) / fit.readings_variance(),
-            (base.auxiliary_residual.norm_squared() - fit.auxiliary_residual.norm_squared())
-                / self.picture_scale().powi(2),
-        ];
-        let sentence = format!(
-            "Pictures: {} pairs count beside the wavelengths; they scatter about the accepted model {chi:.2} times as far as the shapes state{}.",
-            pictures.len(),
-            if fit.terms.is_empty() { String::new() } else { decided(gains) }
-        );
-        Some(WitnessTest {
-            witness: "pictures".to_owned(),
-            statistic: chi * chi * dof,
-            dof,
-            p: chi_squared_tail(chi * chi * dof, dof)?,
-            magnitude: chi,
-            unit: "1".to_owned(),
-            sentence,
-            ..WitnessTest::default()
-        })
-    }
-
     fn seating_repeatability(&self, accepted: &Hypothesis) -> Option<NoisePart> {
         spread_of_zeros(self, &accepted.fit).map(|b| b.session)
     }
 }
 
-/// Which of both decided for the accepted effects, by the falls of the misfit of wavelengths and pictures, in variances.
-fn decided([wavelengths, pictures]: [f64; 2]) -> String {
+/// Pairs of pictures, which join the fit: what they say of an explanation is in its sum of squares already, and they refute none by themselves.
+pub(super) struct PicturePairs;
+
+impl Witness<WhiskerSystem> for PicturePairs {
+    fn test(&self, system: &WhiskerSystem, h: &Hypothesis) -> Result<Option<WitnessTest>, TraceError> {
+        let Some(pictures) = system.pictures() else { return Ok(None) };
+        let chi = pictures.independent_variance_share() * reduced_chi(&h.fit, system.picture_scale());
+        let dof = h.fit.witness_count as f64;
+        let sentence = format!(
+            "Pictures: {} pairs count beside the wavelengths; they scatter about the model {chi:.2} times as far as the shapes state.",
+            pictures.len()
+        );
+        Ok(chi_squared_tail(chi * chi * dof, dof).map(|p| WitnessTest {
+            witness: "pictures".to_owned(),
+            statistic: chi * chi * dof,
+            dof,
+            p,
+            magnitude: chi,
+            unit: "1".to_owned(),
+            sentence,
+            ..WitnessTest::default()
+        }))
+    }
+}
+
+/// What the pictures say of the accepted model, and which of both decided for its effects: by the falls of the misfit of wavelengths and pictures,
+/// in variances.
+fn picture_note(system: &WhiskerSystem, found: &SearchResult, accepted: &Hypothesis) -> Option<String> {
+    let said = PicturePairs.test(system, accepted).ok()??.sentence;
+    let (base, fit) = (&found.base.fit, &accepted.fit);
+    if fit.terms.is_empty() {
+        return Some(said);
+    }
+    let wavelengths = (base.residual.norm_squared() - fit.residual.norm_squared()) / fit.readings_variance();
+    let pictures = (base.auxiliary_residual.norm_squared() - fit.auxiliary_residual.norm_squared())
+        / system.picture_scale().powi(2);
     let share = pictures.max(0.0) / (wavelengths.max(0.0) + pictures.max(0.0)).max(1e-300);
     let by = match share {
         s if s >= DECIDES => "pictures",
         s if s <= 1.0 - DECIDES => "wavelengths",
         _ => "both witnesses",
     };
-    format!(
-        "; the accepted effects lower the misfit by {wavelengths:.0} variances in the wavelengths and {pictures:.0} in the pictures: {by} decided"
-    )
+    Some(format!(
+        "{said} The accepted effects lower the misfit by {wavelengths:.0} variances in the wavelengths and {pictures:.0} in the pictures: {by} decided."
+    ))
 }
 
 /// Pairs that do not count, and why.
-fn pairs_left_out(system: &WhiskerSystem) -> Vec<String> {
+fn note_pairs_left_out(system: &WhiskerSystem) -> Vec<String> {
     let Some(shapes) = &system.data.shapes else { return Vec::new() };
     let none = "Pictures: none of the pairs counts beside the wavelengths.".to_owned();
     let none = system.pictures().is_none().then_some(none);
@@ -343,7 +343,7 @@ fn pairs_left_out(system: &WhiskerSystem) -> Vec<String> {
 }
 
 /// What is left, where it is not beyond the model's own error.
-fn model_error(found: &SearchResult) -> Option<String> {
+fn note_model_error(found: &SearchResult) -> Option<String> {
     let test = &found.last_test;
     let driver =
         test.covariates.first().filter(|_| test.within_model_error && test.p_covariates < GENERIC)?;
@@ -356,7 +356,7 @@ fn model_error(found: &SearchResult) -> Option<String> {
 }
 
 /// Readings in motion that do not count.
-fn unsteady(system: &WhiskerSystem) -> Option<String> {
+fn note_unsteady(system: &WhiskerSystem) -> Option<String> {
     let count = system.path.readings.iter().filter(|r| r.unsteady).count();
     (count > 0).then(|| {
         format!(
@@ -367,7 +367,7 @@ fn unsteady(system: &WhiskerSystem) -> Option<String> {
 }
 
 /// By how much the stage's clock was set.
-fn clock(system: &WhiskerSystem) -> Option<String> {
+fn note_clock(system: &WhiskerSystem) -> Option<String> {
     let set_s = system.stage_clock_s();
     (set_s != 0.0).then(|| {
         format!(

@@ -2,7 +2,6 @@
 
 mod admission;
 mod branch_cache;
-mod branch_start;
 mod covariates;
 pub mod effects;
 pub mod floor;
@@ -17,16 +16,15 @@ pub mod physical;
 mod picture_observations;
 pub mod pictures;
 pub mod plan_check;
-mod predicted_pictures;
 pub mod predictions;
 mod readings_model;
-pub mod residual_tables;
 pub mod rod_parameters;
 pub mod rod_tables;
 pub mod seatings;
 pub mod sensitivity;
 mod solve_cache;
 mod stage_clock;
+mod stage_motion;
 pub mod stream;
 pub mod system;
 pub mod tables;
@@ -34,7 +32,6 @@ pub mod temperature;
 pub mod twin_check;
 mod uncertainty;
 pub mod verify;
-mod way;
 mod whisker_effect;
 
 pub use physical::PhysicalModel;

@@ -4,9 +4,8 @@ use super::system::WhiskerSystem;
 use crate::effect::{EffectTerm, LawRequirement};
 use crate::measurement_model::MeasurementModel;
 use crate::method::ambiguity::power;
-use crate::method::fit::Fit;
+use crate::method::fit::{Fit, linear};
 use crate::method::hypothesis::Hypothesis;
-use crate::method::linear::{Basis, stack};
 use nalgebra::DMatrix;
 use wcal_core::observation::{Role, WhiskerRow};
 use wcal_core::verify_document::{NextMeasurement, NextPose};
@@ -109,7 +108,6 @@ fn separation(
     new: &[(DMatrix<f64>, DMatrix<f64>)],
     variance: f64,
 ) -> f64 {
-    let channels = b.residual.ncols();
     let n = b.design.nrows();
     let total = n + new.len() + 1;
     let weight = REPEATS.sqrt();
@@ -122,26 +120,16 @@ fn separation(
             .chain([at_rest * rest])
             .collect()
     };
-    let mut basis = Basis::default();
-    let mut free = |column: &[f64]| {
-        for c in 0..channels {
-            let mut one = DMatrix::zeros(total, channels);
-            one.column_mut(c).copy_from_slice(column);
-            basis.push(&stack(&one));
-        }
-    };
-    free(&extend(&vec![0.0; n], &|_| 1.0, 1.0));
-    for j in 0..b.design.ncols() {
-        // At rest only the constant reads.
-        let rest = f64::from(u8::from(j == 0));
-        free(&extend(b.design.column(j).clone_owned().as_slice(), &|k| new[k].1[j], rest));
-    }
-    let mut difference = DMatrix::zeros(total, channels);
-    for c in 0..channels {
-        let column = extend(present.column(c).clone_owned().as_slice(), &|k| new[k].0[c], 0.0);
-        difference.column_mut(c).copy_from_slice(&column);
-    }
-    (basis.project_off(&stack(&difference)).norm_squared() + seen) / variance
+    // At rest only the constant reads.
+    let rest = |j: usize| f64::from(u8::from(j == 0));
+    let own = |j: usize| extend(b.design.column(j).clone_owned().as_slice(), &|k| new[k].1[j], rest(j));
+    let mut columns = vec![extend(&vec![0.0; n], &|_| 1.0, 1.0)];
+    columns.extend((0..b.design.ncols()).map(own));
+    let gap = |c: usize| extend(present.column(c).clone_owned().as_slice(), &|k| new[k].0[c], 0.0);
+    let difference: Vec<Vec<f64>> = (0..b.residual.ncols()).map(gap).collect();
+    let matrix = |columns: &[Vec<f64>]| DMatrix::from_fn(total, columns.len(), |i, j| columns[j][i]);
+    // Every column is free in each channel.
+    (linear(&matrix(&columns), &matrix(&difference)).1.norm_squared() + seen) / variance
 }
 
 /// A proposal and, for each rival, the gap between the best explanation's prediction and the rival's and the rival's design there.

@@ -134,7 +134,7 @@ const AVERAGED_ALIKE: f64 = 1.5;
 
 /// Variances that averages have by their numbers of samples, 1 for a typical settled loaded reading; empty where all are alike or a
 /// number is missing. Each reading: samples, loaded, settled.
-pub(crate) fn averaged(readings: &[(Option<u32>, bool, bool)]) -> Vec<f64> {
+pub(crate) fn averaging_variance(readings: &[(Option<u32>, bool, bool)]) -> Vec<f64> {
     let Some(typical) = typical(readings) else { return Vec::new() };
     let variance = |r: &(Option<u32>, bool, bool)| r.0.map(|n| typical / f64::from(n.max(1)));
     let Some(variances) = readings.iter().map(variance).collect::<Option<Vec<f64>>>() else {
@@ -160,7 +160,7 @@ fn sizes(readings: &[Reading]) -> Vec<(Option<u32>, bool, bool)> {
 
 /// [`averaged`] of readings on a path.
 pub(crate) fn averaged_readings(readings: &[Reading]) -> Vec<f64> {
-    averaged(&sizes(readings))
+    averaging_variance(&sizes(readings))
 }
 
 /// [`typical`] of readings on a path.
@@ -172,7 +172,7 @@ pub(crate) fn typical_samples(readings: &[Reading]) -> Option<f64> {
 pub fn temperature_walk(rows: &[&WhiskerRow], fbg: &FbgSpec) -> Option<RandomWalkModel> {
     let sizes: Vec<_> =
         rows.iter().map(|r| (r.samples, r.role != Role::Rest, r.dwell_s.is_some_and(|d| d > 0.0))).collect();
-    let variances = or_equal(averaged(&sizes), rows.len());
+    let variances = or_equal(averaging_variance(&sizes), rows.len());
     let mut read: Vec<(f64, f64, f64)> = rows
         .iter()
         .zip(variances)

@@ -145,24 +145,19 @@ impl PhysicalModel {
         }
     }
 
-    /// With the correlated part of the readings' noise, where there is a clock to which it belongs; `noise_factor` goes from the engine's
-    /// channels to pm.
-    pub fn with_correlated(self, noise: &Noise, noise_factor: f64, clock: bool) -> Self {
-        let part = noise.correlated.as_ref().filter(|_| clock);
-        let pose = noise.pose.map_or(0.0, |p| p.value);
+    /// With the correlated part of the readings' noise, where there is a clock to which it belongs, and how the variance of a reading depends on
+    /// the samples that it averages, where the session says how many.
+    pub fn with_noise(self, system: &WhiskerSystem, noise: &Noise) -> Self {
+        let (pose, factor) = (noise.pose.map_or(0.0, |p| p.value), system.noise_factor());
+        let part = noise.correlated.as_ref().filter(|_| system.path.columns.time);
         let correlated_noise = part.map(|(sd, tau)| CorrelatedReadings {
-            sd_pm: sd.value * noise_factor,
-            own_sd_pm: noise.repeat.value.hypot(pose) * noise_factor,
+            sd_pm: sd.value * factor,
+            own_sd_pm: noise.repeat.value.hypot(pose) * factor,
             time_constant_s: *tau,
         });
-        Self { correlated_noise, ..self }
-    }
-
-    /// With how the variance of a reading depends on the samples that it averages, where the session says how many.
-    pub fn with_averaging(self, system: &WhiskerSystem, noise: &Noise) -> Self {
         let averaging =
             typical_samples(&system.path.readings).map(|samples| Averaging { samples, common: noise.common });
-        Self { averaging, ..self }
+        Self { correlated_noise, averaging, ..self }
     }
 
     /// Variances of a path's readings beside 1 of a typical reading of the calibration's own session.

@@ -105,7 +105,7 @@ fn moved(column: &ErrorColumn, kept: &[usize]) -> PairChange {
 }
 
 /// A pair's observations with their own errors, and the derivatives by the shared parameters, values x parameters.
-pub(super) fn observed(
+pub(super) fn observe(
     document: &PairDocument,
     groove: &GrooveDocument,
     reading: usize,

@@ -20,7 +20,7 @@
 use super::kept::Kept;
 use super::path::WhiskerPath;
 pub use super::picture_observations::{Derivatives, PairChange, PairObservation};
-use super::picture_observations::{Pair, observed, root_of, values, with_tolerances};
+use super::picture_observations::{Pair, observe, root_of, values, with_tolerances};
 use nalgebra::{DMatrix, DVector};
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -56,9 +56,9 @@ impl Pictures {
             let r = &path.readings[reading];
             let Some(document) = &rows[row].pair else { continue };
             let loaded = of_node.get(&reading).filter(|_| r.line.is_some() && !r.rest);
-            let found = loaded.zip(document.groove.as_ref()).and_then(|(&node, groove)| {
-                observed(document, groove, reading, node, readings.len(), shapes)
-            });
+            let found = loaded
+                .zip(document.groove.as_ref())
+                .and_then(|(&node, groove)| observe(document, groove, reading, node, readings.len(), shapes));
             let Some((mut pair, columns)) = found else {
                 let why = "its errors or its reading say nothing of a contact".to_owned();
                 left_out.push(PairLeftOut { name: document.name.clone(), why });

@@ -290,7 +290,7 @@ impl RodTables {
         let moment = |k: usize| {
             let (Some(h), Some(l)) = (held[k], nodes[k].line) else { return Some([0.0; 2]) };
             let slip = slips[l].as_ref()?;
-            if !slip.holds(xs_mm[k], h.ratio) {
+            if !slip.has_equilibrium(xs_mm[k], h.ratio) {
                 return None;
             }
             let (with, without) = (slip.moment(xs_mm[k], h.ratio), slip.moment(xs_mm[k], 0.0));

@@ -60,7 +60,7 @@ pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVaria
     let coefficients = coefficients * pm;
     let size = coefficients.rows(1, 2).norm();
     let changes = coefficients.rows(q, own).norm_squared() / later as f64;
-    let session = pooled(zero_sd_pm, later);
+    let session = pool(zero_sd_pm, later);
     Some(SeatingVariation {
         count,
         zero_sd_pm,
@@ -72,7 +72,7 @@ pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVaria
 
 /// Both channels' standard deviations from `dof` degrees of freedom each as one, with the interval that chi-squared gives:
 /// `s sqrt(nu / chi2_(0.975, nu)) .. s sqrt(nu / chi2_(0.025, nu))`, `nu = 2 dof`. Two sessions say little: the interval shows it.
-fn pooled(sd: [f64; 2], dof: usize) -> NoisePart {
+fn pool(sd: [f64; 2], dof: usize) -> NoisePart {
     let value = (0.5 * (sd[0].powi(2) + sd[1].powi(2))).sqrt();
     let nu = 2.0 * dof as f64;
     let at = |p: f64| ChiSquared::new(nu).map_or(nu, |c| c.inverse_cdf(p));
@@ -119,7 +119,7 @@ mod tests {
                 let mean = zeros.iter().sum::<f64>() / sessions as f64;
                 (zeros.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / (sessions - 1) as f64).sqrt()
             });
-            let e = pooled(sd, sessions - 1);
+            let e = pool(sd, sessions - 1);
             covered += usize::from((e.interval95[0]..e.interval95[1]).contains(&truth));
             // Control: a Gaussian's interval of the same width of freedom does not cover.
             let half = NORMAL_95 * e.value / (2.0 * 2.0 * (sessions - 1) as f64).sqrt();

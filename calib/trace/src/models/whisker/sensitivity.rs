@@ -15,7 +15,7 @@ use crate::method::distributions::chi_squared_tail;
 use crate::method::linear::Basis;
 use nalgebra::{DMatrix, DVector};
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
-use wcal_core::order_statistics::median;
+use wcal_core::order_statistics::{mad_sd, median};
 
 /// Fewest loaded readings from which a response can be told.
 const MIN_LOADED: usize = 9;
@@ -40,7 +40,7 @@ pub fn lost_sensitivity(data: &WhiskerData) -> Result<Option<String>, TraceError
 /// The same of a session whose model is there.
 pub(super) fn of_system(system: &WhiskerSystem) -> Option<String> {
     let rod = system.moments(&[])?.0;
-    let lost = |moments: &Vec<[f64; 2]>| without_response(system, moments);
+    let lost = |moments: &Vec<[f64; 2]>| response_fault(system, moments);
     // A response to either twin is one.
     let of_either = || {
         let by_rod = lost(&rod)?;
@@ -78,7 +78,7 @@ fn constant(system: &WhiskerSystem) -> Option<String> {
 }
 
 /// Gratings whose readings do not follow the load, or follow one direction of it only.
-fn without_response(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String> {
+fn response_fault(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<String> {
     let n = moments.len();
     // A zero that drifts, one a seating, and the temperature (a dead grating that is compensated follows it) are no response.
     let mut course = Basis::default();
@@ -93,7 +93,7 @@ fn without_response(system: &WhiskerSystem, moments: &[[f64; 2]]) -> Option<Stri
     }
     let off = |values: Vec<f64>| course.project_off(&DVector::from_vec(values));
     let y: Vec<DVector<f64>> =
-        (0..2).map(|g| off(clipped(system.path.readings.iter().map(|r| r.shift_pm[g]).collect()))).collect();
+        (0..2).map(|g| off(clip(system.path.readings.iter().map(|r| r.shift_pm[g]).collect()))).collect();
     let load: Vec<DVector<f64>> = (0..2).map(|k| off(moments.iter().map(|m| m[k]).collect())).collect();
     let load = directions(&load);
     if load.is_empty() {
@@ -141,11 +141,9 @@ fn directions(columns: &[DVector<f64>]) -> Vec<DVector<f64>> {
     basis.vectors().to_vec()
 }
 
-fn clipped(values: Vec<f64>) -> Vec<f64> {
+fn clip(values: Vec<f64>) -> Vec<f64> {
     let centre = median(values.iter().copied()).unwrap_or(0.0);
-    // 1.4826 times the median absolute deviation.
-    let sd = 1.4826 * median(values.iter().map(|v| (v - centre).abs())).unwrap_or(0.0);
-    let reach = CLIP * sd;
+    let reach = CLIP * mad_sd(values.iter().copied(), centre).unwrap_or(0.0);
     if reach > 0.0 {
         values.into_iter().map(|v| v.clamp(centre - reach, centre + reach)).collect()
     } else {

@@ -21,18 +21,18 @@ const STEP_S: f64 = 1e-3;
 
 /// The alignment that `h` leaves in the readings, added to the system's own; the system's own where nothing more is told or it is no
 /// alignment. `lagged`: the explanation has a time lag, which takes up any alignment.
-pub(super) fn aligned(system: &WhiskerSystem, h: &Hypothesis, lagged: bool) -> f64 {
+pub(super) fn estimate_alignment(system: &WhiskerSystem, h: &Hypothesis, lagged: bool) -> f64 {
     let before_s = system.stage_clock_s();
     if lagged || !system.is_read_in_motion() {
         return if lagged { 0.0 } else { before_s };
     }
-    let Some((more_s, sd_s)) = left_over(system, &h.fit, h) else { return before_s };
-    let told = more_s.abs() > z(NEGLIGIBLE) * sd_s && (before_s + more_s).abs() <= MAX_CLOCK_S;
-    if told { before_s + more_s } else { before_s }
+    let Some((more_s, sd_s)) = residual_alignment(system, &h.fit, h) else { return before_s };
+    let significant = more_s.abs() > z(NEGLIGIBLE) * sd_s && (before_s + more_s).abs() <= MAX_CLOCK_S;
+    if significant { before_s + more_s } else { before_s }
 }
 
 /// Least-squares estimate of what is left, and its standard error, s.
-fn left_over(system: &WhiskerSystem, fit: &Fit, h: &Hypothesis) -> Option<(f64, f64)> {
+fn residual_alignment(system: &WhiskerSystem, fit: &Fit, h: &Hypothesis) -> Option<(f64, f64)> {
     let moved = system.clone().with_stage_clock(system.stage_clock_s() + STEP_S);
     let change = (moved.design(&fit.terms)? - &fit.raw_design) * &fit.coefficients / STEP_S;
     let mut tangent = stack_with(&h.weights.apply(&change), &fit.auxiliary_residual);

@@ -1,6 +1,6 @@
 //! The accepted effects reading by reading: what [`PhysicalModel::infer`] does for a table, for a stream.
 
-use super::groove_motion::factor;
+use super::groove_motion::covariance_root;
 use super::physical::{PhysicalModel, VALID_SHARE, is_below_noise};
 use super::uncertainty::VALUE_STEP;
 use super::whisker_effect::{ActiveEffect, Memory};
@@ -83,7 +83,7 @@ impl PhysicalStream {
             columns: Columns { time: true, temperature: true, ..Columns::default() },
             ..WhiskerPath::default()
         };
-        let factor = factor(&model).0;
+        let factor = covariance_root(&model).0;
         let gradient = DMatrix::zeros(2, model.covariance.len());
         Some(Self { model, effects, moved, inverse, last_s: None, factor, gradient, now })
     }

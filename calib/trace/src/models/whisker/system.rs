@@ -164,7 +164,7 @@ impl WhiskerSystem {
     }
 
     /// Why the session does not give what a law needs; none where it does.
-    pub(super) fn unmet(&self, need: LawRequirement) -> Option<&'static str> {
+    pub(super) fn missing_requirement(&self, need: LawRequirement) -> Option<&'static str> {
         let has = &self.path.columns;
         let moving = |p: &Arc<Pictures>| p.each().any(|(i, ..)| self.path.readings[i].velocity_mm_s != 0.0);
         match need {
@@ -285,16 +285,6 @@ impl WhiskerSystem {
     pub fn whitening_change(&self, other: &Self) -> f64 {
         let (a, b) = (self.whitening.determinant(), other.whitening.determinant());
         (a / b).max(b / a)
-    }
-
-    /// Standard deviation of one compensated shift under `fit`, pm: mean of both gratings.
-    pub fn noise_sd_pm(&self, fit: &Fit) -> f64 {
-        (fit.variance() * self.whitening.norm_squared() / 2.0).sqrt()
-    }
-
-    /// From the noise in the engine's channels to that of a compensated shift, pm: mean of both gratings.
-    pub fn noise_factor(&self) -> f64 {
-        (self.whitening.norm_squared() / 2.0).sqrt()
     }
 
     /// Seatings in the points table.

@@ -113,7 +113,7 @@ impl SlipTable {
     }
 
     /// Whether there is an equilibrium with this ratio: at both neighbours in the table.
-    pub(crate) fn holds(&self, x_mm: f64, ratio: f64) -> bool {
+    pub(crate) fn has_equilibrium(&self, x_mm: f64, ratio: f64) -> bool {
         let x = (x_mm - self.touch_mm).max(0.0) / self.step_mm;
         let row = |x: f64| &self.rows[(x as usize).min(self.rows.len() - 1)];
         [row(x.floor()), row(x.ceil())].iter().all(|r| (r.held[0]..=r.held[1]).contains(&ratio))
@@ -154,8 +154,12 @@ mod tests {
             ratios,
             rows: vec![row.clone(), row, lost.clone(), lost],
         };
-        assert!(table.holds(11.0, -0.7) && table.holds(13.0, -0.5) && table.holds(15.0, 0.7));
+        assert!(
+            table.has_equilibrium(11.0, -0.7)
+                && table.has_equilibrium(13.0, -0.5)
+                && table.has_equilibrium(15.0, 0.7)
+        );
         // Control: beyond what is held.
-        assert!(!table.holds(13.0, -0.6) && !table.holds(15.0, -0.7));
+        assert!(!table.has_equilibrium(13.0, -0.6) && !table.has_equilibrium(15.0, -0.7));
     }
 }

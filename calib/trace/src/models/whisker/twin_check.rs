@@ -17,7 +17,7 @@ use crate::whisker::path::WhiskerPath;
 use crate::whisker::rod_tables::RodTables;
 use nalgebra::{Complex, DMatrix, DVector};
 use wcal_core::observation::{Role, WhiskerData, WhiskerRow};
-use wcal_core::order_statistics::median;
+use wcal_core::order_statistics::{mad_sd, median};
 use wcal_core::verify_document::TwinFault;
 
 /// The rod and the label at one pose.
@@ -182,8 +182,8 @@ fn deviations(checks: &mut [LabelCheck], loaded: &[usize]) {
             let target = y.component_mul(&weights);
             let Ok(b) = weighted.svd(true, true).solve(&target, 1e-9) else { return };
             residual = &y - &design * b;
-            // 1.4826 MAD; labels are printed to 1e-6 N mm, so the floor keeps perfect agreement finite.
-            scale = (1.4826 * median(residual.iter().map(|v| v.abs())).unwrap_or(0.0)).max(2e-3);
+            // Labels are printed to 1e-6 N mm, so the floor keeps perfect agreement finite.
+            scale = mad_sd(residual.iter().copied(), 0.0).unwrap_or(0.0).max(2e-3);
             for r in 0..rows {
                 // Cauchy weights (square roots): far labels lose all pull.
                 weights[r] = (1.0 / (1.0 + (residual[r] / (2.0 * scale)).powi(2))).sqrt();

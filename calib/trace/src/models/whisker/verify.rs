@@ -1,41 +1,30 @@
 //! `verify` for kind "whisker": admission of the data, the procedure, and what reports and calibration need of it.
 
-use super::physical::PhysicalModel;
-use super::predictions::Predictions;
-use super::residual_tables::{Branch, branches};
+use super::measurement::PicturePairs;
+use super::rod_parameters::RodParameters;
 use super::system::WhiskerSystem;
 use super::twin_check::{LabelReport, check_labels};
 use crate::error::TraceError;
-use crate::method::search_result::SearchResult;
-use crate::verify::{Verified as Loop, VerifyRequest, Witness, verify};
+use crate::verify::{Assessment, Decision, Verified as Loop, VerifyRequest, Witness, verify};
 use wcal_core::observation::{WhiskerData, WhiskerRow};
-use wcal_core::verify_document::{HeldOutError, VerifyDocument};
-use wcal_core::{InputFile, ResidualRecord, Sealed};
+use wcal_core::verify_document::VerifyDocument;
+use wcal_core::{InputFile, Sealed};
+
+/// Trajectory, stage positions (mm) and moments (N mm) of the rod's branch.
+pub type Branch = (u32, Vec<f64>, Vec<[f64; 2]>);
 
 /// Everything that `verify` found.
 pub struct WhiskerVerification {
     /// verify.json.
     pub document: VerifyDocument,
-    /// Every reading of `whole` under the declared and the accepted model.
-    pub predictions: [Predictions; 2],
-    /// Residual records of every reading and channel.
-    pub residuals: Vec<ResidualRecord>,
+    /// What was decided on the open readings: model, calibration, search.
+    pub decision: Decision<WhiskerSystem>,
+    /// What the sealed readings say of it, and every reading under both models.
+    pub assessment: Assessment<WhiskerSystem>,
     /// Twin check.
     pub labels: LabelReport,
-    /// Accepted calibration.
-    pub model: PhysicalModel,
-    /// The declared model in the same form.
-    pub declared: PhysicalModel,
-    /// The search, for the report.
-    pub found: SearchResult,
-    /// Held-out errors beside before and after: (name, error).
-    pub further: Vec<(String, HeldOutError)>,
     /// Rod branch along each trajectory: (identifier, stage positions, moments).
     pub branches: Vec<Branch>,
-    /// Every reading of the session, unsealed ones among them.
-    pub whole: WhiskerSystem,
-    /// The readings that were fitted.
-    pub open: WhiskerSystem,
 }
 
 /// A session's result, or why its data cannot be used.
@@ -65,7 +54,9 @@ pub fn verify_whisker(
     };
     let rows: Vec<&WhiskerRow> = data.rows.iter().collect();
     let model = WhiskerSystem::new(data, &rows)?;
-    let v = match verify(model, sealed, witnesses, request).map_err(|e| e.of_session(session))? {
+    let witnesses: Vec<&dyn Witness<WhiskerSystem>> =
+        witnesses.iter().copied().chain([&PicturePairs as &dyn Witness<WhiskerSystem>]).collect();
+    let v = match verify(model, sealed, &witnesses, request).map_err(|e| e.of_session(session))? {
         Loop::Done(v) => v,
         Loop::Refused(reason) => return refused(reason),
     };
@@ -73,15 +64,30 @@ pub fn verify_whisker(
     let open = v.decision.model();
     Ok(Verified::Done(Box::new(WhiskerVerification {
         document,
-        residuals: v.assessment.residuals,
         labels: check_labels(data, &open.path, &open.rod_tables),
-        model: v.decision.calibration().clone(),
-        declared: v.decision.declared_calibration(),
-        further: v.decision.left_out().errors.further.clone(),
-        predictions: [v.assessment.before, v.assessment.after],
         branches: branches(open),
-        open: open.clone(),
-        found: v.decision.explained().found.clone(),
-        whole: v.assessment.whole,
+        decision: v.decision,
+        assessment: v.assessment,
     })))
+}
+
+/// The rod's branch along each trajectory, as far as the readings reach.
+fn branches(system: &WhiskerSystem) -> Vec<Branch> {
+    let Some(tables) = system.rod_tables.tables(&RodParameters::default()) else {
+        return Vec::new();
+    };
+    system
+        .data
+        .trajectories
+        .iter()
+        .zip(tables.iter())
+        .zip(&system.path.reach_mm)
+        .filter(|(_, reach)| **reach > 0.0)
+        .map(|((t, table), reach)| {
+            let xs: Vec<f64> = (0..=60).map(|k| reach * f64::from(k) / 60.0).collect();
+            let kept: Vec<(f64, [f64; 2])> =
+                xs.iter().filter_map(|x| Some((*x, table.moment(*x)?))).collect();
+            (t.id, kept.iter().map(|k| k.0).collect(), kept.iter().map(|k| k.1).collect())
+        })
+        .collect()
 }

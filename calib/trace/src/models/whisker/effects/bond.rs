@@ -27,8 +27,10 @@ pub fn creep() -> WhiskerEffect {
             } else {
                 values.all().chunks(2).map(|p| (p[0], p[1])).collect()
             };
-            let relaxed = vec![[0.0; 2]; spectrum.len()];
-            Box::new(Relaxing { spectrum, relaxed, last: [0.0; 2] })
+            Box::new(Elements::new(spectrum, |state, [before, now], dt_s, tau_s| {
+                let Some(dt_s) = dt_s else { return state };
+                [0, 1].map(|c| relax(state[c], before[c], now[c], dt_s, tau_s))
+            }))
         }),
         ..Effect {
             refinements: vec![two],
@@ -43,35 +45,43 @@ pub fn creep() -> WhiskerEffect {
     }
 }
 
-/// Relaxed moments, one a time constant.
-struct Relaxing {
-    spectrum: Vec<(f64, f64)>,
-    relaxed: Vec<[f64; 2]>,
-    last: [f64; 2],
+/// State of an element after a step: its state, the moments before and after, the time between, its time constant or width.
+type NextState = dyn Fn([f64; 2], [[f64; 2]; 2], Option<f64>, f64) -> [f64; 2] + Send;
+
+/// Elements side by side: what is sensed is the moment and, weighted, the state of each, which follows the moment with a memory.
+struct Elements {
+    /// Weight, and time constant or width.
+    elements: Vec<(f64, f64)>,
+    next: Box<NextState>,
+    states: Vec<[f64; 2]>,
+    before: [f64; 2],
 }
 
-impl Relaxing {
-    fn next(&self, k: usize, dt_s: f64, m: [f64; 2]) -> [f64; 2] {
-        [0, 1].map(|c| relax(self.relaxed[k][c], self.last[c], m[c], dt_s, self.spectrum[k].1))
+impl Elements {
+    fn new(
+        elements: Vec<(f64, f64)>,
+        next: impl Fn([f64; 2], [[f64; 2]; 2], Option<f64>, f64) -> [f64; 2] + Send + 'static,
+    ) -> Self {
+        let states = vec![[0.0; 2]; elements.len()];
+        Self { elements, next: Box::new(next), states, before: [0.0; 2] }
+    }
+
+    fn states(&self, dt_s: Option<f64>, m: [f64; 2]) -> Vec<[f64; 2]> {
+        let of = |(e, state): (&(f64, f64), &[f64; 2])| (self.next)(*state, [self.before, m], dt_s, e.1);
+        self.elements.iter().zip(&self.states).map(of).collect()
     }
 }
 
-impl Memory for Relaxing {
+impl Memory for Elements {
     fn sensed(&self, dt_s: Option<f64>, m: [f64; 2]) -> [f64; 2] {
-        let Some(dt_s) = dt_s else { return m };
-        let mut sensed = m;
-        for (k, (share, _)) in self.spectrum.iter().enumerate() {
-            let relaxed = self.next(k, dt_s, m);
-            sensed = [0, 1].map(|c| sensed[c] + share * relaxed[c]);
-        }
-        sensed
+        let states = self.states(dt_s, m);
+        let add = |sum: [f64; 2], (e, s): (&(f64, f64), &[f64; 2])| [0, 1].map(|c| sum[c] + e.0 * s[c]);
+        self.elements.iter().zip(&states).fold(m, add)
     }
 
     fn accept(&mut self, dt_s: Option<f64>, m: [f64; 2]) {
-        if let Some(dt_s) = dt_s {
-            self.relaxed = (0..self.spectrum.len()).map(|k| self.next(k, dt_s, m)).collect();
-        }
-        self.last = m;
+        self.states = self.states(dt_s, m);
+        self.before = m;
     }
 }
 
@@ -143,8 +153,10 @@ pub fn hysteresis() -> WhiskerEffect {
             } else {
                 values.all().chunks(2).map(|p| (p[0], p[1])).collect()
             };
-            let states = vec![[0.0; 2]; loops.len()];
-            Box::new(Loops { law: values.law(), loops, states, before: [0.0; 2] })
+            let law = values.law();
+            Box::new(Elements::new(loops, move |state, [before, now], _, width| {
+                next(law, state, [now[0] - before[0], now[1] - before[1]], width)
+            }))
         }),
         ..Effect {
             refinements: vec![one("play-vector", narrow, &[0.03, 0.1, 0.3]), two, stack],
@@ -165,37 +177,6 @@ pub fn hysteresis() -> WhiskerEffect {
 
 /// Half widths of the plays of the stack, N mm.
 const STACK_WIDTHS_NMM: [f64; 4] = [0.04, 0.1, 0.25, 0.6];
-
-/// Sizes and widths of the loops with their states.
-struct Loops {
-    law: &'static str,
-    loops: Vec<(f64, f64)>,
-    states: Vec<[f64; 2]>,
-    before: [f64; 2],
-}
-
-impl Loops {
-    fn state(&self, k: usize, now: [f64; 2]) -> [f64; 2] {
-        let step = [now[0] - self.before[0], now[1] - self.before[1]];
-        next(self.law, self.states[k], step, self.loops[k].1)
-    }
-}
-
-impl Memory for Loops {
-    fn sensed(&self, _dt_s: Option<f64>, m: [f64; 2]) -> [f64; 2] {
-        let mut sensed = m;
-        for (k, (size, _)) in self.loops.iter().enumerate() {
-            let state = self.state(k, m);
-            sensed = [0, 1].map(|c| sensed[c] + size * state[c]);
-        }
-        sensed
-    }
-
-    fn accept(&mut self, _dt_s: Option<f64>, m: [f64; 2]) {
-        self.states = (0..self.loops.len()).map(|k| self.state(k, m)).collect();
-        self.before = m;
-    }
-}
 
 /// State of a hysteresis law, scaled to +-1, after a step of the moment.
 fn next(law: &str, mut state: [f64; 2], step: [f64; 2], width: f64) -> [f64; 2] {

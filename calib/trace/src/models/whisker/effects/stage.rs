@@ -3,7 +3,7 @@
 use super::bond::relax;
 use crate::effect::{LawRequirement, law};
 use crate::whisker::path::WhiskerPath;
-use crate::whisker::way::{MotionSegment, way_between};
+use crate::whisker::stage_motion::{MotionSegment, motion_between};
 use crate::whisker::whisker_effect::{Observers, WhiskerEffect};
 
 /// Lost motion: after a reversal the groove stays until the play is taken up. X-LSM100A states < 12 um between screw and nut, with encoder
@@ -113,7 +113,7 @@ fn delayed(path: &WhiskerPath, xs_mm: &[f64], lag_s: f64, k: usize) -> f64 {
     let mut left_s = lag_s;
     let mut at = k;
     while at > 0 {
-        let Some(pieces) = way_between(path, xs_mm, at - 1) else { break };
+        let Some(pieces) = motion_between(path, xs_mm, at - 1) else { break };
         for MotionSegment { from_mm, to_mm, dt_s } in pieces.into_iter().rev() {
             if left_s <= dt_s {
                 return if dt_s > 0.0 { to_mm + (from_mm - to_mm) * left_s / dt_s } else { to_mm };
@@ -130,7 +130,8 @@ fn delayed(path: &WhiskerPath, xs_mm: &[f64], lag_s: f64, k: usize) -> f64 {
 fn low_passed(path: &WhiskerPath, xs_mm: &[f64], lag_s: f64) -> Vec<f64> {
     let mut out: Vec<f64> = Vec::with_capacity(xs_mm.len());
     for k in 0..xs_mm.len() {
-        let last = k.checked_sub(1).and_then(|before| Some((out[before], way_between(path, xs_mm, before)?)));
+        let last =
+            k.checked_sub(1).and_then(|before| Some((out[before], motion_between(path, xs_mm, before)?)));
         out.push(match last {
             Some((d, pieces)) => pieces.iter().fold(d, |d, p| relax(d, p.from_mm, p.to_mm, p.dt_s, lag_s)),
             None => steady(path, xs_mm, lag_s, k),

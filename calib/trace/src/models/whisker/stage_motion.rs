@@ -22,7 +22,7 @@ pub struct MotionSegment {
 const FITS: f64 = 0.1;
 
 /// The way from node `k` to the next at positions `xs_mm`; none where the recorded positions and speeds do not say it.
-pub(super) fn way_between(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<Vec<MotionSegment>> {
+pub(super) fn motion_between(path: &WhiskerPath, xs_mm: &[f64], k: usize) -> Option<Vec<MotionSegment>> {
     let (a, b) = (&path.nodes[k], &path.nodes[k + 1]);
     if !path.columns.time || a.line.is_none() || a.line != b.line {
         return None;

@@ -22,6 +22,7 @@ pub mod options;
 pub mod outliers;
 pub mod range_check;
 mod refine;
+pub mod rounding;
 pub mod search;
 pub mod search_result;
 pub mod settings;

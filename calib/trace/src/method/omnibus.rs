@@ -8,6 +8,7 @@ use super::covariates::{CovariateSignature, signatures_of_covariates};
 use super::fit::{Fit, Weights};
 use super::min_p::{MinPDistribution, signature_p};
 use super::options::Options;
+use super::rounding::is_rounding;
 use super::signature::{Signature, nuisance_basis, signatures_of_catalogue};
 use crate::levels::{CATALOGUE, GENERIC, OMNIBUS, REPLICATES, SERIAL};
 use crate::measurement_model::MeasurementModel;
@@ -54,6 +55,8 @@ pub struct OmnibusTest {
     pub serial_correlation: f64,
     /// What is left is significant, but so small a part of the misfit that the model of the recording itself may leave it.
     pub within_model_error: bool,
+    /// What is left is what rounding makes of the model's responses.
+    pub is_rounding: bool,
 }
 
 /// Share of the sum of squares from which what is left is no model error: a tenth of the noise, root mean square.
@@ -64,12 +67,17 @@ const MODEL_CORRELATION: f64 = 0.1;
 impl OmnibusTest {
     /// Something beyond noise is left.
     pub fn rejected(&self) -> bool {
-        !self.within_model_error && (self.p_catalogue < CATALOGUE || self.generic())
+        self.is_judged() && (self.p_catalogue < CATALOGUE || self.generic())
     }
 
     /// Something is left that need not be in the catalogue.
     pub fn generic(&self) -> bool {
-        !self.within_model_error && (self.p_covariates < GENERIC || self.p_serial < SERIAL)
+        self.is_judged() && (self.p_covariates < GENERIC || self.p_serial < SERIAL)
+    }
+
+    /// What is left is neither rounding nor the model's own error.
+    fn is_judged(&self) -> bool {
+        !self.within_model_error && !self.is_rounding
     }
 
     /// Judges the catalogue without `effects`, which were tried on `fit` and taken back.
@@ -211,6 +219,7 @@ pub fn omnibus_test(
         p_serial,
         serial_correlation,
         within_model_error: false,
+        is_rounding: is_rounding(system, fit, weights),
         signatures,
         family,
         covariate_family,

@@ -99,7 +99,7 @@ const MAX_NEIGHBOURS: f64 = 0.5;
 /// Share of the readings at rest that may be flagged: nothing touches the wire there.
 const MAX_REST: f64 = 0.25;
 
-/// Fewest readings of a group that, flagged all together, are what the model lacks of it.
+/// Fewest readings of a group, or of a setting, that, flagged all together, are what the model lacks of it.
 const MIN_GROUP: usize = 3;
 
 /// Whether flagged readings stand singly: a whole stretch of them, a whole group, or many at rest, is what the model lacks.
@@ -120,9 +120,16 @@ fn are_isolated(system: &dyn MeasurementModel, all: &Weights, flagged: &[usize])
         let own = of_group(groups[i]);
         own.len() >= MIN_GROUP && own.iter().all(|k| flagged.contains(k))
     });
+    // Readings of equal columns are of one setting.
+    let whole_setting = system.design(&[]).is_some_and(|design| {
+        flagged.iter().any(|&i| {
+            let own = counted.iter().filter(|&&k| design.row(k) == design.row(i));
+            own.clone().count() >= MIN_GROUP && own.into_iter().all(|k| flagged.contains(k))
+        })
+    });
     let stretch = neighbours >= MIN_STRUCTURE && neighbours as f64 > MAX_NEIGHBOURS * flagged.len() as f64;
     let resting = rest_flagged >= MIN_STRUCTURE && rest_flagged as f64 > MAX_REST * at_rest as f64;
-    !(stretch || resting || whole_group)
+    !(stretch || resting || whole_group || whole_setting)
 }
 
 /// Draws of the elemental sets.

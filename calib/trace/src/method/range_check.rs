@@ -84,7 +84,7 @@ fn rise_under_bound(
 }
 
 /// The x of least `1/2 x' P x + q' x` where no row of `rows x` exceeds its bound (interior point); none where the solver gives up.
-fn minimise(
+pub(super) fn minimise(
     quadratic: &DMatrix<f64>,
     linear: &[f64],
     rows: &[Vec<(usize, f64)>],

@@ -356,6 +356,9 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             }
             _ if self.explained.exact => "The declared model fits to the last digit.".to_owned(),
             _ if reduced => "Nothing that the data support is left by the declared model.".to_owned(),
+            _ if found.first_test.is_rounding => {
+                "The readings are those of the declared model, rounded to their last digit.".to_owned()
+            }
             _ => {
                 let p = found.first_test.p_value(self.p_lack_of_fit);
                 format!("The declared model explains the readings to within the noise (omnibus p = {p:.2}).")

@@ -329,3 +329,40 @@ fn a_smooth_curve_is_no_knee_and_no_wave() {
     }));
     assert_eq!(answer(&v), (Verdict::Effect, vec!["knee"]), "{}", v.document.reason);
 }
+
+/// A dial with marks of half a unit, whose needle hardly scatters: rounding repeats with its place.
+#[test]
+fn a_dial_read_to_its_marks_has_no_effect_but_a_bend_beyond_a_mark_is_one() {
+    let dial = |seed: u64, bend: f64| {
+        let mut rng = Noise::new(900 + seed);
+        let (count, steps) = (7 + (seed % 6) as usize, 9.0 + 6.3 * seed as f64);
+        let at = places(0.0, 100.0, count, 1 + (seed % 4) as usize);
+        run(&table(["N", "mm"], TransducerModel::Linear, &at, |_, x| {
+            let u = x / 100.0;
+            let needle = 0.13 + steps * u + bend * 4.0 * u * (1.0 - u) + 0.05 * rng.next();
+            0.5 * needle.round()
+        }))
+    };
+    let straight: Vec<ScalarVerification> = (0..12u64).into_par_iter().map(|s| dial(s, 0.0)).collect();
+    let right = straight.iter().filter(|v| v.document.verdict == Verdict::Adequate).count();
+    assert!(right >= 11, "{right} of 12");
+    let bent: Vec<ScalarVerification> = (0..12u64).into_par_iter().map(|s| dial(s, 4.0)).collect();
+    assert!(bent.iter().all(|v| v.document.verdict != Verdict::Adequate));
+}
+
+#[test]
+fn all_readings_of_a_setting_are_no_outliers() {
+    // The root of a differential pressure bends most at zero.
+    let mut rng = Noise::new(77);
+    let at = places(0.0, 10.0, 21, 3);
+    let v = run(&table(["kPa", "V"], TransducerModel::Linear, &at, |_, x| {
+        0.02 + 0.31 * (x + 0.05).sqrt() + 0.006 * rng.next()
+    }));
+    assert!(!answer(&v).1.contains(&"outliers"), "{}", v.document.reason);
+    // Control: one reading of a setting.
+    let mut rng = Noise::new(78);
+    let v = run(&table(["kPa", "V"], TransducerModel::Linear, &at, |k, x| {
+        0.3 * x + 0.006 * rng.next() + if k == 10 { 0.2 } else { 0.0 }
+    }));
+    assert_eq!(answer(&v).1, ["outliers"], "{}", v.document.reason);
+}

@@ -25,6 +25,7 @@ use crate::method::lack_of_fit::{LackOfFit, lack_of_fit};
 use crate::method::noise::Noise;
 use crate::method::noise::spread::SpreadLaw;
 use crate::method::options::Options;
+use crate::method::rounding::is_rounding;
 use crate::method::search_result::SearchResult;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
 use crate::verify::{Explained, HeldOut, SessionModel, SessionText};
@@ -70,7 +71,10 @@ impl ScalarSystem {
     pub fn pure_error(&self, h: &Hypothesis) -> Option<LackOfFit> {
         let parameters = h.fit.design.ncols() + h.fit.tangents.len();
         let residual: Vec<f64> = h.fit.residual.column(0).iter().copied().collect();
-        lack_of_fit(&residual, &replicate_keys(&self.frame), h.weights.relative(), parameters)
+        let lack = lack_of_fit(&residual, &replicate_keys(&self.frame), h.weights.relative(), parameters)?;
+        // Repeats of a coarse read-out agree; that says nothing of how well a model does.
+        let rounded = lack.is_significant() && is_rounding(self, &h.fit, &h.weights);
+        Some(LackOfFit { p_value: lack.p_value.filter(|_| !rounded), ..lack })
     }
 }
 

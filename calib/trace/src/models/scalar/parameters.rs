@@ -4,6 +4,7 @@ use super::effects::{PERIODIC, ZERO_BY_SERIES, of_a_turn};
 use super::frame::{Frame, Names};
 use super::system::ScalarSystem;
 use crate::effect::{EffectTerm, Role};
+use crate::levels::NORMAL_95;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::Fit;
 use crate::method::inference::{self, t95};
@@ -147,17 +148,16 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
     out
 }
 
-/// Variance of the zeros of series about their mean; 0 where they have one zero.
+/// Variance of another series' zero about the mean of k zeros, s^2 (1 + 1/k), as a normal one of the same 95 % interval (Student's t with k - 1 degrees of
+/// freedom); 0 where they have one zero.
 pub fn zero_scatter(system: &ScalarSystem, fit: &Fit) -> f64 {
-    let linear = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
-    let Some(at) = fit.terms.iter().position(|t| system.catalogue()[t.effect].id == ZERO_BY_SERIES) else {
-        return 0.0;
-    };
-    let own: usize = fit.terms.iter().map(linear).sum();
-    let first = fit.design.ncols() - own + fit.terms[..at].iter().map(linear).sum::<usize>();
-    let shifts = fit.coefficients.column(0);
-    let shifts = shifts.rows(first, linear(&fit.terms[at]));
-    (shifts.norm_squared() + shifts.sum().powi(2)) / shifts.len() as f64
+    let is_zero = |t: &EffectTerm| system.catalogue()[t.effect].id == ZERO_BY_SERIES;
+    let slots = fit.terms.iter().zip(fit.slots(system.catalogue()));
+    let Some((_, own)) = slots.into_iter().find(|(term, _)| is_zero(term)) else { return 0.0 };
+    let shifts: Vec<f64> = own.columns.map(|k| fit.coefficients[(k, 0)]).collect();
+    let (square, sum) = shifts.iter().fold((0.0, 0.0), |(square, sum), s| (square + s * s, sum + s));
+    let dof = shifts.len() as f64;
+    (square + sum * sum) / dof * (1.0 + 1.0 / (dof + 1.0)) * (t95(dof) / NORMAL_95).powi(2)
 }
 
 /// How far nonlinear value `slot` can move down and up without moving any prediction.

@@ -104,6 +104,7 @@ impl Calibration for ScalarModel {
                     origin: (table.file.clone(), table.rows[k].0, at(&point).map_or(k as i64, |p| p as i64)),
                     role: Role::Verification,
                     x: at(&stimulus).unwrap_or(middle),
+                    x_sd: None,
                     y: at(&response).unwrap_or(0.0),
                     t_s: at(&t_s),
                     temperature_degc: at(&temperature),

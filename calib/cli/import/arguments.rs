@@ -45,6 +45,9 @@ pub struct ImportArgs {
     /// Column of the stimulus (transducer); --model constant does without
     #[arg(long, value_name = "COL")]
     pub stimulus: Option<String>,
+    /// Column of the standard uncertainty of each stimulus, which weighs its reading (transducer); COL*0.5 of an expanded one with k = 2
+    #[arg(long, value_name = "COL", requires = "stimulus")]
+    pub stimulus_sd: Option<String>,
     /// Column of the response (transducer)
     #[arg(long, value_name = "COL", required_if_eq("kind", "transducer"))]
     pub response: Option<String>,
@@ -147,6 +150,7 @@ pub(super) fn layout(args: &ImportArgs) -> TextTableLayout {
     let mapped = args.covariates.iter().map(|c| c.split_once('=').map_or(c.as_str(), |(_, column)| column));
     let named = [
         &args.stimulus,
+        &args.stimulus_sd,
         &args.response,
         &args.commanded,
         &args.measured,

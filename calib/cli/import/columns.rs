@@ -8,7 +8,8 @@ use wcal_core::TransducerModel;
 use wcal_session::{IN_SESSION, TextTable, WHISKER_COLUMNS, named};
 
 /// Columns of the other kinds that are taken along wherever a table has them under these names.
-const SCALAR_COLUMNS: &[&str] = &["t_s", "direction", "temperature_degc", "replicate", "cycle"];
+const SCALAR_COLUMNS: &[&str] =
+    &["stimulus_sd", "t_s", "direction", "temperature_degc", "replicate", "cycle"];
 
 /// Columns whose cells are not numbers.
 const TEXT_COLUMNS: &[&str] = &["role"];
@@ -324,6 +325,7 @@ fn wanted(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Vec<(String, S
     let flags = [
         ("role", &args.role),
         ("stimulus", &args.stimulus),
+        ("stimulus_sd", &args.stimulus_sd),
         ("response", &args.response),
         ("commanded_mm", &args.commanded),
         ("measured_mm", &args.measured),

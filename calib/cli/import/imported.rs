@@ -127,8 +127,8 @@ pub(super) fn say(
     }
     for name in uncertain {
         eprintln!(
-            "column not imported: {name} looks like an uncertainty. It does not weigh the fit: the scatter of the readings does; \
-             what all readings share of it, as the reference's own error, comes on top of the stated uncertainties. As a covariate it would count as a cause"
+            "column not imported: {name} looks like an uncertainty; --stimulus-sd {name} takes the stimulus' standard one, which weighs the fit. \
+             What all readings share of it, as the reference's own error, comes on top of the stated uncertainties. As a covariate it would count as a cause"
         );
     }
     for warning in warnings {

@@ -10,10 +10,10 @@ use crate::known_motion::{
     Episode, EpisodeContact, EpisodeEstimate, MomentField, MotionRow, Posterior, Settings, episodes,
     estimate_contact,
 };
-use crate::reading::{MotionAccuracy, Reading};
+use crate::reading::{MotionAccuracy, PERCENT, Reading};
 use crate::regimes::{
-    ANY_OBJECT, Alternative, ContactEvidence, ContactWeights, GAIN, MIN_WEIGHT, Misstatement, PERCENT,
-    Regime, RegimeWeights, SWEPT_OBJECT, Weighed,
+    ANY_OBJECT, Alternative, ContactEvidence, ContactWeights, GAIN, MIN_WEIGHT, Misstatement, Regime,
+    RegimeWeights, SWEPT_OBJECT, Weighed,
 };
 use crate::sliding::{SlidingContact, TouchedWire, locate_sliding};
 use crate::static_arc::StaticArc;

@@ -14,6 +14,9 @@ use nalgebra::{Matrix2, Rotation3, Vector3};
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_track::stream::BasePose;
 
+/// Moments that are larger by 1 %, over those that are read.
+pub(crate) const PERCENT: f64 = 1.01;
+
 /// Moments of a reading with the parts of their uncertainty.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moments {

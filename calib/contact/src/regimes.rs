@@ -40,8 +40,6 @@ const FACTORS: i32 = 5;
 /// What is said once of a record with contacts.
 pub(crate) const GAIN: &str = "gain: that of the calibration is taken for as certain as it states it; moments along a motion hardly show an error of it, nor one of \
      the clock, which an object or a groove that is known does";
-/// Moments that are larger by 1 %, over those that are read.
-pub(crate) const PERCENT: f64 = 1.01;
 /// ln p(m) of a way that is not looked at.
 pub const OUT: f64 = f64::NEG_INFINITY;
 

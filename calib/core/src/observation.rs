@@ -445,6 +445,8 @@ pub struct TransducerRow {
     pub role: Role,
     /// Stimulus in `stimulus_unit`.
     pub stimulus: f64,
+    /// Standard uncertainty of the stimulus, where it is stated.
+    pub stimulus_sd: Option<f64>,
     /// Response in `response_unit`.
     pub response: f64,
     /// Time, s.

@@ -37,7 +37,7 @@ pub(crate) fn read_rows(
     let table = read_own(path, name)?;
     let group = table.group();
     let required = ["point", "role", "stimulus", "response"];
-    let known = [&["t_s", "temperature_degc", "direction"][..], &group].concat();
+    let known = [&["stimulus_sd", "t_s", "temperature_degc", "direction"][..], &group].concat();
     let others = table.others(&required, &known)?;
     let (covariates, without): (Vec<String>, Vec<String>) =
         others.into_iter().partition(|column| matches!(Row::new(&table, 0).number(column), Ok(Some(_))));
@@ -65,6 +65,7 @@ pub(crate) fn read_rows(
             point: row.point()?,
             role: row.role()?,
             stimulus: row.required("stimulus")?,
+            stimulus_sd: row.not_negative("stimulus_sd")?,
             response: row.required("response")?,
             t_s: row.number("t_s")?,
             temperature_degc: row.temperature()?,

@@ -101,7 +101,7 @@ pub fn answer(order: &Draw) -> Answer {
     Answer {
         verdict: d.verdict,
         effects: d.effects.iter().map(|e| e.id.clone()).collect(),
-        witness: d.tests.first().map_or_else(String::new, |t| t.sentence.clone()),
+        witness: d.notes.iter().find(|n| n.starts_with("Pictures: ")).cloned().unwrap_or_default(),
         contact_before_mm: contact(&d.before),
         contact_after_mm: contact(&d.after),
         contact_floor_mm: d.noise_floor.contact_mm.unwrap_or(f64::NAN),

@@ -3,7 +3,7 @@
 use super::contact_state::{ContactQuantities, STATE, State};
 use super::factors::{Chain, Common, KINDS, Kind};
 use crate::known_motion::MotionRow;
-use crate::regimes::PERCENT;
+use crate::reading::PERCENT;
 use nalgebra::{DVector, Matrix3, SMatrix, Vector3};
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;

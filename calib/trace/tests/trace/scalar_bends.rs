@@ -21,6 +21,7 @@ fn table(
     mut response: impl FnMut(usize, f64) -> f64,
 ) -> TransducerData {
     let row = |(k, (x, t_s, series)): (usize, &At)| TransducerRow {
+        stimulus_sd: None,
         source: "simulated".into(),
         line: k + 2,
         point: k as i64,
@@ -206,14 +207,15 @@ fn each_mounting_has_its_own_zero() {
         0.2 * x + zeros[k / 11] + 3e-4 * rng.next()
     }));
     explained(&v, &["zero-by-series"], 4e-4);
-    // A further mounting is known to the scatter of the zeros, 0.02.
+    // A further mounting is known to the scatter of the four zeros, s = 0.0222: t(3) s sqrt(1 + 1/4) = 3.18 x 0.0222 x 1.118 = 0.079.
     let model = v.model.as_ref().unwrap();
     let new = wcal_trace::scalar::ScalarRow {
+        x_sd: None,
         cycle: Some(9),
         ..(&table(["kN", "mV/V"], TransducerModel::Linear, &at[..1], |_, x| x).rows[0]).into()
     };
     let half = model.predict(&[new]).unwrap()[0].half95;
-    assert!((0.03..0.08).contains(&half), "{half}");
+    assert!((0.077..0.083).contains(&half), "{half}");
     // Control: tared.
     let v = run(&table(["kN", "mV/V"], TransducerModel::Linear, &at, |_, x| 0.2 * x + 3e-4 * rng.next()));
     assert_eq!(answer(&v), (Verdict::Adequate, Vec::new()));
@@ -365,4 +367,34 @@ fn all_readings_of_a_setting_are_no_outliers() {
         0.3 * x + 0.006 * rng.next() + if k == 10 { 0.2 } else { 0.0 }
     }));
     assert_eq!(answer(&v).1, ["outliers"], "{}", v.document.reason);
+}
+
+/// A mass comparator: the certificate states each mass's uncertainty, which is nearly all of the scatter.
+#[test]
+fn stated_uncertainties_of_the_stimulus_weigh_the_readings() {
+    let masses = [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0];
+    let stated = |x: f64| 2e-4 * x.powf(0.6);
+    let of = |seed: u64, states: bool| {
+        let mut rng = Noise::new(300 + seed);
+        let at: Vec<At> = (0..40).map(|k| (masses[k % 10], None, None)).collect();
+        let mut data = table(["g", "V"], TransducerModel::Linear, &at, |_, x| {
+            2e-3 + 0.01 * (x + stated(x) * rng.next()) + 2e-6 * rng.next()
+        });
+        data.rows.iter_mut().for_each(|r| r.stimulus_sd = states.then(|| stated(r.stimulus)));
+        run(&data)
+    };
+    let weighed: Vec<ScalarVerification> = (0..12u64).into_par_iter().map(|s| of(s, true)).collect();
+    let right = weighed.iter().filter(|v| v.document.verdict == Verdict::Adequate).count();
+    assert!(right >= 11, "{right} of 12");
+    // Control: without the statement the spread is a finding, or a reason for false ones.
+    let bare: Vec<ScalarVerification> = (0..12u64).into_par_iter().map(|s| of(s, false)).collect();
+    assert!(bare.iter().filter(|v| v.document.verdict == Verdict::Adequate).count() <= 2);
+    // The line is as well known as the certificate allows: 4e-8 V/g.
+    let slope_error = |v: &ScalarVerification| {
+        let line = v.model.as_ref().and_then(|m| m.polynomial.as_ref()).map(|p| p.coefficients[1]);
+        line.map_or(f64::INFINITY, |b| (b - 0.01).abs())
+    };
+    let rms =
+        |all: &[ScalarVerification]| all.iter().map(|v| slope_error(v).min(1.0).powi(2)).sum::<f64>().sqrt();
+    assert!(rms(&weighed) < 3e-7, "{}", rms(&weighed));
 }

@@ -124,6 +124,7 @@ fn laws_keep_their_names_where_places_repeat() {
 fn levels(loads: &[f64], sweeps: usize, mut response: impl FnMut(usize, f64) -> f64) -> TransducerData {
     let rows = (0..sweeps * loads.len())
         .map(|k| TransducerRow {
+            stimulus_sd: None,
             source: "simulated".into(),
             line: k + 2,
             point: k as i64,

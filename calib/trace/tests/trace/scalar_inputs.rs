@@ -14,6 +14,7 @@ type Reading = (f64, f64, Option<u32>, Vec<f64>, Option<f64>);
 
 fn run(model: TransducerModel, columns: &[&str], readings: Vec<Reading>) -> ScalarVerification {
     let row = |(k, (stimulus, response, replicate, covariates, t_s)): (usize, Reading)| TransducerRow {
+        stimulus_sd: None,
         source: "simulated".into(),
         line: k + 2,
         point: k as i64 + 1,

@@ -28,6 +28,7 @@ fn nist(file: &str, columns: &[&str], model: TransducerModel) -> TransducerData 
         model,
         rows: (0..table.rows.len())
             .map(|k| TransducerRow {
+                stimulus_sd: None,
                 source: file.into(),
                 line: table.rows[k].0,
                 point: k as i64 + 1,

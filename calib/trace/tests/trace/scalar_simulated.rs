@@ -56,6 +56,7 @@ fn transducer(
             .zip(responses)
             .enumerate()
             .map(|(k, (r, y))| TransducerRow {
+                stimulus_sd: None,
                 source: "simulated".into(),
                 line: k + 2,
                 point: k as i64,

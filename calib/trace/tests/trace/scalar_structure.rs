@@ -20,6 +20,7 @@ fn table(
     mut response: impl FnMut(usize, f64) -> f64,
 ) -> TransducerData {
     let row = |(k, x): (usize, &f64)| TransducerRow {
+        stimulus_sd: None,
         source: "simulated".into(),
         line: k + 2,
         point: k as i64,

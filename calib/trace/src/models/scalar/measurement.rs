@@ -134,6 +134,9 @@ impl SessionText for ScalarSystem {
                 ways.len() - falling
             )));
         }
+        if !self.noise_inputs().averaged.is_empty() {
+            notes.push("Readings are weighed by the stated uncertainties of their stimuli (stimulus_sd), beside a part of the noise that is alike for all.".to_owned());
+        }
         if self.frame.swept_once() && !accepted.fit.terms.is_empty() {
             notes.push(self.format_text(&format!("Nothing is said of the time: {SWEPT_ONCE}.")));
         }

@@ -179,6 +179,7 @@ impl ScalarModel {
             origin: (String::new(), 0, 0),
             role: Role::Verification,
             x: self.scaling.mid,
+            x_sd: None,
             y: 0.0,
             t_s: None,
             temperature_degc: None,

@@ -11,6 +11,8 @@ pub struct ScalarRow {
     pub role: Role,
     /// Stimulus, or commanded position in mm.
     pub x: f64,
+    /// Standard uncertainty of the stimulus, where it is stated.
+    pub x_sd: Option<f64>,
     /// Response, or measured - commanded in um.
     pub y: f64,
     /// Time, s.
@@ -33,6 +35,7 @@ impl From<&TransducerRow> for ScalarRow {
             origin: (r.source.clone(), r.line, r.point),
             role: r.role,
             x: r.stimulus,
+            x_sd: r.stimulus_sd,
             y: r.response,
             t_s: r.t_s,
             temperature_degc: r.temperature_degc,
@@ -50,6 +53,7 @@ impl From<&AxisRow> for ScalarRow {
             origin: (r.source.clone(), r.line, r.point),
             role: r.role,
             x: r.commanded_mm,
+            x_sd: None,
             y: 1e3 * (r.measured_mm - r.commanded_mm),
             t_s: r.t_s,
             temperature_degc: r.temperature_degc,
@@ -76,6 +80,7 @@ pub(super) fn bare(point: usize, x: f64, y: f64) -> ScalarRow {
         origin: ("t.csv".into(), point + 2, point as i64),
         role: Role::Calibration,
         x,
+        x_sd: None,
         y,
         t_s: None,
         temperature_degc: None,

@@ -14,15 +14,15 @@ const PERMUTATIONS: usize = 4999;
 /// Largest share of rounding in the variance.
 const MAX_ROUNDING: f64 = 0.1;
 
-/// Residuals of a fit, each divided by the share of its variance that the fit leaves; unweighted.
-fn standardised(h: &Hypothesis) -> Vec<f64> {
+/// Residuals of a fit, each divided by the share of its variance that the fit leaves; weighed by stated uncertainties alone.
+fn standardised(system: &ScalarSystem, h: &Hypothesis) -> Vec<f64> {
+    let law = system.noise_inputs().known;
     let basis = nuisance_basis(&h.fit);
     (0..h.fit.residual.nrows())
         .map(|i| {
             let leverage: f64 = basis.vectors().iter().map(|q| q[i] * q[i]).sum();
             // What neighbours share is taken out, the law of the spread is not.
-            let own = h.weights.of(i).max(1e-300);
-            h.fit.residual[(i, 0)] / own / (1.0 - leverage).max(0.05).sqrt()
+            h.fit.residual[(i, 0)] / law[i].max(1e-300) / (1.0 - leverage).max(0.05).sqrt()
         })
         .collect()
 }
@@ -36,7 +36,7 @@ pub(super) fn test_spread(system: &ScalarSystem, h: &Hypothesis, seed: u64) -> O
         return None;
     }
     let kept: Vec<usize> = (0..frame.rows.len()).filter(|&i| h.weights.counts(i)).collect();
-    let residual = standardised(h);
+    let residual = standardised(system, h);
     let pick = |f: &dyn Fn(usize) -> f64| kept.iter().map(|&i| f(i)).collect::<Vec<f64>>();
     let x = pick(&|i| frame.rows[i].x);
     let mut spread = heteroscedasticity_test(

@@ -4,6 +4,7 @@ use super::admission::number;
 use super::effects;
 use super::frame::{Declared, Frame, Names, ScalarRow, Scaling};
 use super::range_limit::{RangeLimit, read_out};
+use super::row::all;
 use super::scalar_effect::ScalarEffect;
 use crate::effect::{Effect, EffectTerm, LawRequirement, Values};
 use crate::measurement_model::MeasurementModel;
@@ -13,6 +14,7 @@ use crate::method::noise::spread::{Spread, SpreadLaw};
 use nalgebra::DMatrix;
 use std::collections::BTreeSet;
 use std::sync::Arc;
+use wcal_core::order_statistics::median;
 use wcal_core::repeats::decimal_step;
 
 /// Why a session does not give what a law needs; none where it does.
@@ -72,6 +74,19 @@ pub struct ScalarSystem {
 /// Standard deviation of the noise at every row of `frame`, in units of that at `centre`, by a law of the spread.
 pub fn relative_sd_at(frame: &Frame, law: SpreadLaw, exponent: f64, centre: f64) -> Vec<f64> {
     law.scale(frame).iter().map(|v| (exponent * (v - centre)).exp()).collect()
+}
+
+/// Least and largest stated variance beside a typical one; a reference mass of nothing is no reading without noise.
+const STATED: [f64; 2] = [1e-2, 1e6];
+
+/// Stated variances of the stimuli beside a typical one: the shape of what the reference adds to the noise (ISO/TS 28037, the slope taken as one over the
+/// range). Empty where they are not stated, or all alike.
+fn stated_variances(rows: &[ScalarRow]) -> Vec<f64> {
+    let Some(sd) = all(rows, |r| r.x_sd) else { return Vec::new() };
+    let typical = median(sd.iter().copied().filter(|sd| *sd > 0.0)).unwrap_or(0.0);
+    let alike = sd.iter().all(|v| *v == sd[0]);
+    let variance = |sd: &f64| (sd / typical).powi(2).clamp(STATED[0], STATED[1]);
+    if alike || typical <= 0.0 { Vec::new() } else { sd.iter().map(variance).collect() }
 }
 
 /// An axis is measured from a point this many times the largest error away.
@@ -319,6 +334,7 @@ impl MeasurementModel for ScalarSystem {
         NoiseInputs {
             clock: clock.map(Arc::new),
             known: self.weights.clone(),
+            averaged: stated_variances(&frame.rows),
             step: vec![decimal_step(&values)],
             ..NoiseInputs::none(n)
         }

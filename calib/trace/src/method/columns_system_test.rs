@@ -18,13 +18,16 @@ impl ColumnsSystem {
     pub fn new(seed: u64, columns: Vec<Vec<f64>>, clean: &[f64]) -> Self {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         let n = clean.len();
+        let single = Effect::new("outliers", "Single readings stand out.", vec![law("single-readings")]);
+        let single = Effect { is_outlier_process: true, ..single };
         let mut noise = || -> f64 { StandardNormal.sample(&mut rng) };
         Self {
             measured: DMatrix::from_fn(n, 1, |i, _| clean[i] + noise()),
-            catalogue: vec![
-                Effect::new("column", "A column acts.", vec![law("linear").column("size", "1")]);
-                columns.len()
-            ],
+            catalogue: columns
+                .iter()
+                .map(|_| Effect::new("column", "A column acts.", vec![law("linear").column("size", "1")]))
+                .chain([single])
+                .collect(),
             columns,
             groups: (0..n).map(|i| (i / 10) as u32).collect(),
         }

@@ -58,7 +58,7 @@ fn import_line(table: &Path, header: &str, first: &str) -> String {
     let separator = ['\t', ';', ','].into_iter().max_by_key(|s| header.matches(*s).count()).unwrap_or(',');
     let cells: Vec<&str> = header.split(separator).map(str::trim).collect();
     let is_number = |cell: &&str| cell.replace(',', ".").parse::<f64>().is_ok();
-    let headless = cells.iter().all(|c| is_number(c));
+    let headless = cells.iter().all(is_number);
     let row: Vec<&str> = first.split(separator).map(str::trim).collect();
     let has = |name: &str| cells.contains(&name);
     let mut line = format!("wcal import {}", quoted(&table.display().to_string()));

@@ -272,7 +272,7 @@ fn a_deviation_needs_no_slope() {
 #[test]
 fn a_play_at_one_pace_is_not_a_lag_alone() {
     let up_and_down: Vec<f64> =
-        (0..61).map(|k| 25.0 * f64::from(10 - ((k % 20) as i32 - 10).abs())).collect();
+        (0..61).map(|k| 25.0 * f64::from(10 - ((k % 20) - 10).abs())).collect();
     let at: Vec<At> =
         up_and_down.iter().enumerate().map(|(k, x)| (*x, Some(12.0 * k as f64), None)).collect();
     // Where the play stood at first: a virgin sensor, one that was unloaded before, one that was loaded.

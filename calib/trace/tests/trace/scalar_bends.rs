@@ -271,8 +271,7 @@ fn a_deviation_needs_no_slope() {
 /// Play by 8 sigma, three times up and down at one pace.
 #[test]
 fn a_play_at_one_pace_is_not_a_lag_alone() {
-    let up_and_down: Vec<f64> =
-        (0..61).map(|k| 25.0 * f64::from(10 - ((k % 20) - 10).abs())).collect();
+    let up_and_down: Vec<f64> = (0..61_i32).map(|k| 25.0 * f64::from(10 - (k % 20 - 10).abs())).collect();
     let at: Vec<At> =
         up_and_down.iter().enumerate().map(|(k, x)| (*x, Some(12.0 * k as f64), None)).collect();
     // Where the play stood at first: a virgin sensor, one that was unloaded before, one that was loaded.

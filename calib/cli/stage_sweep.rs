@@ -1,7 +1,10 @@
 //! `wcal stage-sweep`: drives the stage, records all streams, reduces to points.
 
+mod bench_rig;
+
 use crate::{interrupt, reduce};
-use anyhow::{Context, Result, anyhow, ensure};
+use anyhow::{Context, Result, anyhow};
+pub(crate) use bench_rig::with_addresses;
 use clap::Args;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -74,7 +77,7 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
             .with_context(|| format!("addresses in {}", bench.display()))?;
     }
     if arguments.scenario.is_some() {
-        rig = in_this_process(&rig).with_context(|| rig_file.display().to_string())?;
+        rig = bench_rig::in_this_process(&rig).with_context(|| rig_file.display().to_string())?;
     }
     if arguments.dry_run {
         return dry_run((&rig_file, &rig), (&arguments.plan, &plan), arguments.json);
@@ -123,60 +126,6 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
 /// Now, to the microsecond: the session's identifier is made of it, and two sessions of one second have different ones.
 fn created() -> String {
     jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%S%.6fZ").to_string()
-}
-
-/// Puts the addresses of a virtual bench into a rig.
-pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
-    ensure!(
-        !addresses.trim().is_empty(),
-        "the file is empty: `wcal virtual-bench` is still starting, or it failed"
-    );
-    let addresses = wcal_core::document::json(addresses)?;
-    let text = |pointer: &str| {
-        let value = addresses.pointer(pointer).and_then(serde_json::Value::as_str);
-        value.map(str::to_owned).ok_or_else(|| anyhow!("expected {pointer}, found nothing"))
-    };
-    let mut rig = wcal_core::document::toml(rig)?;
-    let table = |t: &mut toml::Table, name: &str| -> Result<toml::Table> {
-        let value = t.remove(name).and_then(|v| v.try_into::<toml::Table>().ok());
-        value.ok_or_else(|| anyhow!("expected [{name}] in the rig, found none"))
-    };
-    // The bench's clock may run faster than the wall's.
-    if let Some(speed) = addresses.get("speed").and_then(serde_json::Value::as_f64) {
-        rig.insert("clock_scale".to_owned(), speed.into());
-    }
-    let cameras = rig.get_mut("camera").and_then(toml::Value::as_array_mut);
-    for (k, camera) in cameras.into_iter().flatten().enumerate() {
-        let own = text(&format!("/cameras/{k}"))?;
-        camera.as_table_mut().map(|t| t.insert("source".to_owned(), own.into()));
-    }
-    let mut stage = table(&mut rig, "stage")?;
-    stage.insert("port".to_owned(), format!("tcp://{}", text("/stage_tcp")?).into());
-    let mut interrogator = table(&mut rig, "interrogator")?;
-    if interrogator.get("driver").and_then(toml::Value::as_str) == Some("hyperion") {
-        interrogator.insert("address".to_owned(), text("/hyperion/commands")?.into());
-        interrogator.insert("peaks_address".to_owned(), text("/hyperion/peaks")?.into());
-    } else {
-        interrogator.insert("address".to_owned(), text("/sm130")?.into());
-    }
-    rig.insert("stage".to_owned(), stage.into());
-    rig.insert("interrogator".to_owned(), interrogator.into());
-    Ok(toml::to_string(&rig)?)
-}
-
-/// The rig of a bench in this process: nobody else drives its stage, its time is the rig's, and it draws no pictures.
-fn in_this_process(rig: &str) -> Result<String> {
-    let mut rig = wcal_core::document::toml(rig)?;
-    rig.remove("clock_scale");
-    if rig.remove("camera").is_some() {
-        eprintln!(
-            "stage-sweep: the bench in this process draws no pictures: recorded without cameras (`wcal virtual-bench` has them)"
-        );
-    }
-    if let Some(stage) = rig.get_mut("stage").and_then(toml::Value::as_table_mut) {
-        stage.insert("port".to_owned(), format!("in-process:{}", std::process::id()).into());
-    }
-    Ok(toml::to_string(&rig)?)
 }
 
 /// The steps of a plan on a rig.

@@ -11,20 +11,9 @@ const WORDS: [(&str, &[&str]); 4] = [
     ("--time", &["time", "t", "zeit", "date", "datum", "timestamp", "clock", "elapsed", "seconds"]),
 ];
 
-/// Words of a column that holds corrections, deviations or errors of another quantity.
-const DEVIATIONS: [&str; 11] = [
-    "correction",
-    "corr",
-    "deviation",
-    "dev",
-    "error",
-    "err",
-    "difference",
-    "delta",
-    "korrektur",
-    "abweichung",
-    "fehler",
-];
+/// Words of a column that holds corrections, deviations or errors of another quantity; a difference is measured as such (a pressure `delta_p`).
+const DEVIATIONS: [&str; 9] =
+    ["correction", "corr", "deviation", "dev", "error", "err", "korrektur", "abweichung", "fehler"];
 
 /// Whether a column's name says that it is a deviation of the stimulus.
 pub(super) fn is_deviation(name: &str) -> bool {

@@ -13,7 +13,7 @@
 //! ```
 //!
 //! What is misstated is so in all contacts c of a record: `p(g | m) ~ pi_g prod_c p(m_c | g)`. A point that holds the wire shows g to a tenth or so,
-//! several together to less. One surface takes up any g (simulated sweeps: ln p(m) changes by 2 from 0.8 to 1.5), and a creep nearly so: theirs is
+//! several together to less. One surface takes up any g, and a creep nearly so: theirs is
 //! the same for all g.
 //!
 //! Sources: A. P. Dawid, J. R. Stat. Soc. A 147 (1984) 278 (prequential evidence); J. A. Hoeting, D. Madigan, A. E. Raftery, C. T. Volinsky, Stat.
@@ -38,8 +38,8 @@ const MIN_MISTAKE: f64 = 0.05;
 const FACTOR: f64 = 1.2;
 const FACTORS: i32 = 5;
 /// What is said once of a record with contacts.
-pub(crate) const GAIN: &str = "gain: that of the calibration is taken for as certain as it states it; moments along a motion hardly show an error of it, nor one of \
-     the clock, which an object or a groove that is known does";
+pub(crate) const GAIN: &str = "gain: moments along a motion hardly show an error of the calibration's gain or of the clock, which are taken to be as certain as \
+     they are stated; a known object or groove shows them";
 /// ln p(m) of a way that is not looked at.
 pub const OUT: f64 = f64::NEG_INFINITY;
 
@@ -282,7 +282,7 @@ impl Weighed<'_> {
 }
 
 /// Most that one contact says for or against what is misstated of a record, natural logarithm: its ways leave out others.
-const MOST_LN: f64 = 30.0;
+const MAX_LN_EVIDENCE: f64 = 30.0;
 
 /// ln p(m) of a contact's blocks by how it moves.
 pub struct ContactEvidence {
@@ -317,7 +317,8 @@ impl ContactEvidence {
     /// ln p(m) under each of what may be misstated, over that of the readings as they are.
     pub fn of_misstatements(&self) -> Vec<f64> {
         let stated = ln_sum(&self.ways(self.fixed, false));
-        let over = |ln: f64| if ln == stated { 0.0 } else { (ln - stated).clamp(-MOST_LN, MOST_LN) };
+        let over =
+            |ln: f64| if ln == stated { 0.0 } else { (ln - stated).clamp(-MAX_LN_EVIDENCE, MAX_LN_EVIDENCE) };
         self.under().map(|(_, ways)| over(ln_sum(&ways))).collect()
     }
 

@@ -9,7 +9,7 @@
 mod plant_sweep;
 
 use nalgebra::{Matrix2, Rotation3, Vector3};
-use plant_sweep::{calibrated, readings, whisker};
+use plant_sweep::{calibrated, moments, readings, whisker};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -18,7 +18,7 @@ use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::{Contact, Estimator};
 use wcal_contact::known_motion::MomentField;
 use wcal_contact::known_motion_table::KnownMotionTable;
-use wcal_contact::reading::{Moments, MotionAccuracy, Reading, RowMotion};
+use wcal_contact::reading::{MotionAccuracy, Reading, RowMotion};
 use wcal_core::observation::WhiskerSpec;
 use wcal_plant::sweep::SweepCase;
 
@@ -58,16 +58,7 @@ fn reading(
     (moved_mm, velocity_mm_s): (Vector3<f64>, Vector3<f64>),
 ) -> Reading {
     let noise_nmm2 = Matrix2::identity() * NOISE_NMM * NOISE_NMM;
-    let moments = Moments {
-        moment_nmm,
-        sd_nmm: [NOISE_NMM; 2],
-        valid: true,
-        pose_nmm2: noise_nmm2,
-        own_nmm2: Some(noise_nmm2),
-        drift_nmm2: Matrix2::zeros(),
-        zero_nmm2: Matrix2::zeros(),
-        shared_nmm: Vec::new(),
-    };
+    let moments = moments(moment_nmm, noise_nmm2, Vec::new());
     let motion = RowMotion { moved_mm, turn: Rotation3::identity(), velocity_mm_s, piece: 0, push: None };
     Reading { motion: Ok(motion), ..Reading::alone(k as i64, 0.1 * k as f64, Some(moments)) }
 }

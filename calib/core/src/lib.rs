@@ -29,6 +29,7 @@ pub mod standstill;
 pub mod stream;
 pub mod text;
 pub mod verify_document;
+pub mod whisker_spec;
 pub mod wire_frame;
 
 pub use calibration::{CalibrationFile, CalibrationFrame, CalibrationNoise, VerificationStatus};

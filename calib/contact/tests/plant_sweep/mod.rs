@@ -35,6 +35,20 @@ pub fn whisker(case: &SweepCase) -> WhiskerSpec {
     }
 }
 
+/// Moments with white noise, and errors of the map that all share.
+pub fn moments(moment_nmm: [f64; 2], noise_nmm2: Matrix2<f64>, shared_nmm: Vec<[f64; 2]>) -> Moments {
+    Moments {
+        moment_nmm,
+        sd_nmm: [noise_nmm2[(0, 0)].sqrt(), noise_nmm2[(1, 1)].sqrt()],
+        valid: true,
+        pose_nmm2: noise_nmm2,
+        own_nmm2: Some(noise_nmm2),
+        drift_nmm2: Matrix2::zeros(),
+        zero_nmm2: Matrix2::zeros(),
+        shared_nmm,
+    }
+}
+
 /// The readings of a sweep; the motion times a factor.
 pub fn readings(case: &SweepCase, way: f64) -> Vec<Reading> {
     let bench = &case.scene.bench;
@@ -49,15 +63,10 @@ pub fn readings(case: &SweepCase, way: f64) -> Vec<Reading> {
     let one = |k: usize| {
         let (m, at) = (moment(k) - zero, &case.readings[k]);
         let share = m * MAP_SHARE;
+        let shared = vec![[share.x, 0.0], [0.0, share.x], [share.y, 0.0], [0.0, share.y]];
         let moments = Moments {
-            moment_nmm: m.into(),
-            sd_nmm: [noise_nmm2[(0, 0)].sqrt(), noise_nmm2[(1, 1)].sqrt()],
-            valid: true,
-            pose_nmm2: noise_nmm2,
-            own_nmm2: Some(noise_nmm2),
-            drift_nmm2: Matrix2::zeros(),
             zero_nmm2: noise_nmm2 / ZERO_READINGS as f64 + Matrix2::identity() * DRIFT_NMM * DRIFT_NMM,
-            shared_nmm: vec![[share.x, 0.0], [0.0, share.x], [share.y, 0.0], [0.0, share.y]],
+            ..moments(m.into(), noise_nmm2, shared)
         };
         let motion = RowMotion {
             moved_mm: -at.base_mm * way,

@@ -67,16 +67,16 @@ const MODEL_CORRELATION: f64 = 0.1;
 impl OmnibusTest {
     /// Something beyond noise is left.
     pub fn rejected(&self) -> bool {
-        self.is_judged() && (self.p_catalogue < CATALOGUE || self.generic())
+        self.is_unexplained() && (self.p_catalogue < CATALOGUE || self.generic())
     }
 
     /// Something is left that need not be in the catalogue.
     pub fn generic(&self) -> bool {
-        self.is_judged() && (self.p_covariates < GENERIC || self.p_serial < SERIAL)
+        self.is_unexplained() && (self.p_covariates < GENERIC || self.p_serial < SERIAL)
     }
 
     /// What is left is neither rounding nor the model's own error.
-    fn is_judged(&self) -> bool {
+    fn is_unexplained(&self) -> bool {
         !self.within_model_error && !self.is_rounding
     }
 

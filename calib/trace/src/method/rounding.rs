@@ -19,6 +19,9 @@ const MOVED: f64 = 0.564;
 /// Largest noise beyond half a step, in standard deviations.
 const REACH: f64 = 3.0;
 
+/// Mean square of what is left, beside that of rounding, from which on something else is most of it.
+const MAX_LEFT: f64 = 4.0;
+
 /// The readings are those of the fitted model, rounded: of one channel, and where rounding is most of their noise.
 pub fn is_rounding(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) -> bool {
     let measured = system.measured();
@@ -26,7 +29,7 @@ pub fn is_rounding(system: &dyn MeasurementModel, fit: &Fit, weights: &Weights) 
     let rows: Vec<usize> = (0..measured.nrows()).filter(|&i| weights.counts(i)).collect();
     let rounding = step * step / 12.0;
     let left: f64 = rows.iter().map(|&i| fit.raw_residual[(i, 0)].powi(2)).sum();
-    if measured.ncols() != 1 || left > 4.0 * rounding * rows.len() as f64 {
+    if measured.ncols() != 1 || left > MAX_LEFT * rounding * rows.len() as f64 {
         return false;
     }
     let design = &fit.raw_design;

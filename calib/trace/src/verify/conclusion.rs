@@ -151,12 +151,12 @@ fn named_effects<M: SessionModel>(
         .collect()
 }
 
-/// What the effects do, in their catalogue's words, and what they cannot be told from.
+/// What the effects do, in their catalogue's words, and what they cannot be distinguished from.
 fn sentences(effects: &[NamedEffect]) -> String {
     let sentence = |e: &NamedEffect| match &e.class[..] {
         [] | [_] => e.sentence.clone(),
         [_, others @ ..] => {
-            format!("{} These readings do not tell it from {}.", e.sentence, others.join(" or "))
+            format!("{} These readings do not distinguish it from {}.", e.sentence, others.join(" or "))
         }
     };
     effects.iter().map(sentence).collect::<Vec<_>>().join(" ")

@@ -21,7 +21,7 @@ use nalgebra::{DMatrix, DVector};
 /// Explanations that are refitted in a fold: what tangents promise far from their point a refit need not keep.
 const REFITTED: usize = 2;
 
-/// Difference of the criterion within which two fits are one to the iteration's end: two laws that the kept readings do not tell apart, as where they
+/// Difference of the criterion within which two fits are one to the iteration's end: two laws that the kept readings do not distinguish, as where they
 /// have two loads only. The first candidate stands, which is the one that all readings accept.
 const TIED: f64 = 0.05;
 

@@ -12,6 +12,7 @@ use super::plant::Plant;
 use super::scenario::Scenario;
 use super::world::BenchState;
 use crate::zaber::flags::is_latched;
+use crate::zaber::flags::remedy;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::{Arc, Condvar, Mutex};
@@ -168,7 +169,8 @@ impl Stage for Unit {
         })?;
         self.bench.pass(self.bench.answer_s(ANSWERED_S));
         if !homed {
-            let (expected, found) = ("a homed axis", flags.join(" "));
+            let (expected, found) =
+                ("a homed axis", flags.join(" ") + flags.first().map_or("", |f| remedy(f)));
             let error = self.refused("read position", &found);
             return Err(DeviceError {
                 kind: DeviceErrorKind::NotHomed,

@@ -137,9 +137,8 @@ pub fn hysteresis(declared: Declared) -> ScalarEffect {
             true
         },
         columns: |values, frame| {
-            let begun = if values.law().starts_with("by-direction") { begun(values) } else { 0.0 };
             let by_way = |f: fn(f64) -> f64| {
-                let direction = frame.direction_begun(1.0 - 2.0 * begun)?;
+                let direction = frame.direction_begun(1.0 - 2.0 * begun(values))?;
                 Some(direction.iter().zip(&frame.u).map(|(d, u)| d * f(*u)).collect::<Vec<f64>>())
             };
             if !values.law().starts_with("by-direction") && !frame.new_rows && !frame.read_both_ways() {

@@ -39,27 +39,36 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
 use wcal_core::text::brief;
 
-/// Calibrates whisker touch sensors and closes the loop between bench and simulation.
+/// Calibrates whisker touch sensors, and any instrument that gives a table of readings: finds what the model of it lacks.
 #[derive(Debug, Parser)]
-#[command(name = "wcal", version, arg_required_else_help = true)]
+#[command(name = "wcal", version, arg_required_else_help = true, after_help = START)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
 }
 
+/// What to type first.
+const START: &str = "\
+Start:
+  wcal demo --out demo-out                      the whole loop on recorded data
+  wcal import TABLE.csv --kind transducer --stimulus COL --response COL --model linear --out SESSION
+  wcal verify SESSION --out RESULT              then open RESULT/report.html
+  wcal stage-sweep --help                       a whisker on a bench";
+
 #[allow(clippy::large_enum_variant, reason = "one a program run")]
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// The residual loop: find what the model lacks, add it, show the held-out error
-    Verify(verify::VerifyArgs),
-    /// Wavelength-to-moment map of a session
-    FitGpr(fit_gpr::FitGprArgs),
-    /// Moments at new readings
-    Predict(predict::PredictArgs),
     /// The whole loop on the recordings that come with the program
     Demo(demo::DemoArgs),
     /// Turn a plain table into a session
     Import(import::ImportArgs),
+    /// The residual loop: find what the model lacks, add it, show the held-out error
+    #[command(alias = "calibrate")]
+    Verify(verify::VerifyArgs),
+    /// Wavelength-to-moment map of a session
+    FitGpr(fit_gpr::FitGprArgs),
+    /// Readings of a table through a calibration: moments, or the stimulus
+    Predict(predict::PredictArgs),
     /// Both cameras from pairs of pictures of a board
     StereoCalibrate(stereo_calibrate::StereoCalibrateArgs),
     /// The wire's shape and the groove's contact from pairs of pictures

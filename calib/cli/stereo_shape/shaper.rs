@@ -8,8 +8,9 @@ use anyhow::Context;
 use clap::Args;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
+use wcal_core::order_statistics::median;
 use wcal_core::provenance::sha256_hex;
-use wcal_core::shapes_document::{PairDocument, ShapesSource, rig_sha256};
+use wcal_core::shapes_document::{GrooveDocument, PairDocument, ShapesSource, rig_sha256};
 use wcal_report::{Fact, ShapePair, ShapesInput, render_shapes};
 use wcal_vision::calibrate::import::read_cameras;
 use wcal_vision::pairs::PairFiles;
@@ -147,7 +148,14 @@ pub(super) fn report_pairs(result: &ShapesResult) -> PairCounts {
             eprintln!("stereo-shape: {}: warning: {warning}", pair.name);
         }
     }
-    eprintln!("stereo-shape: {good} of {} pairs", document.pairs.len());
+    let used = format!("stereo-shape: {good} of {} pairs", document.pairs.len());
+    let grooves: Vec<&GrooveDocument> = document.pairs.iter().filter_map(|p| p.groove.as_ref()).collect();
+    match median(grooves.iter().map(|g| g.contact_arclength_sd_mm)) {
+        Some(sd) => {
+            eprintln!("{used}; contact along the wire known to {sd:.3} mm (median of {})", grooves.len())
+        }
+        None => eprintln!("{used}; no contact: the rig's tag is seen in none"),
+    }
     PairCounts { good, clean }
 }
 

@@ -87,6 +87,17 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     for caution in &v.cautions {
         println!("  caution: {caution}");
     }
+    if let Some(noise) = &v.noise {
+        let shared =
+            noise.correlated.map(|c| format!("{} of it shared by neighbours", named(&readable(c.sd), unit)));
+        let tails = noise.tails_dof.map(|t| {
+            format!("tails heavier than a Gaussian's (Student's t, {:.0} degrees of freedom)", t.value)
+        });
+        let said: Vec<String> = shared.into_iter().chain(tails).collect();
+        if !said.is_empty() {
+            println!("  noise: {}", said.join("; "));
+        }
+    }
     for f in &v.twin.faults {
         let points: Vec<String> = f.points.iter().map(ToString::to_string).collect();
         println!("  twin fault ({}): points {}: {}", f.kind, points.join(", "), f.detail);

@@ -193,7 +193,7 @@ fn contacts_of_which_no_motion_is_known_are_covered_and_never_ok() {
     let rod = Rod::new(&whisker, 4.0).unwrap();
     let field = MomentField::new(&rod, &MomentAxes::default(), Friction::NONE);
     let mut all = Share::default();
-    for (press, streams) in [(Press::HoldAndBack, 40), (Press::StepsAndReversal, 20), (Press::Aside, 20)] {
+    for (press, streams) in [(Press::HoldAndBack, 16), (Press::StepsAndReversal, 12), (Press::Aside, 12)] {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let (mut vouched, mut stated) = (Score::default(), Score::default());
         for _ in 0..streams {
@@ -210,8 +210,8 @@ fn contacts_of_which_no_motion_is_known_are_covered_and_never_ok() {
         // Control: the network's own regions do not hold them.
         assert!(vouched.regions.share() < 0.8 && vouched.ok.share() > 0.2, "{press:?}: {vouched:?}");
     }
-    // Of eighty streams, whose rows share one place each: at least 95 % less 2 sd of the binomial.
-    assert!(all.share() > 0.90, "{all:?}");
+    // Of forty streams, whose rows share one place each: at least 95 % less 2 sd of the binomial.
+    assert!(all.share() > 0.88, "{all:?}");
 
     let friction = PhysicsPlan { friction: [0.0, 0.3], ..Default::default() };
     let plan = SweepPlan { physics: friction, rate_hz: RATE_HZ, ..SweepPlan::default() };
@@ -220,7 +220,7 @@ fn contacts_of_which_no_motion_is_known_are_covered_and_never_ok() {
     let (mut vouched, mut stated, mut trained) = (Score::default(), Score::default(), Score::default());
     let mut others = Score::default();
     for name in objects::NAMES {
-        let order = SweepRequest { whisker: &whisker, plan: &plan, seed: 7, sweeps: 3 };
+        let order = SweepRequest { whisker: &whisker, plan: &plan, seed: 7, sweeps: 2 };
         for series in generate_sweeps(&objects::built_in(name).unwrap(), &order).unwrap() {
             let rows = swept(&series);
             track(model, &rows, (true, None), &mut vouched);
@@ -237,6 +237,6 @@ fn contacts_of_which_no_motion_is_known_are_covered_and_never_ok() {
     assert!(vouched.ok.share() > 0.98 && trained.ok.held == vouched.ok.held, "{vouched:?} {trained:?}");
     // No place is another than the network's, and no contact is ok.
     assert!(stated.ok.held == 0 && vouched.squares_mm2 == stated.squares_mm2, "{stated:?}");
-    assert!(others.ok.held == 0 && others.streams == 4 * 36, "{others:?}");
+    assert!(others.ok.held == 0 && others.streams == 4 * 2 * objects::NAMES.len(), "{others:?}");
     assert!(stated.regions.share() > 0.95 && stated.ellipsoid.share() > 0.95, "{stated:?}");
 }

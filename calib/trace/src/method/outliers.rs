@@ -173,10 +173,13 @@ pub fn initial_outliers(system: &dyn MeasurementModel, weights: &Weights, seed: 
     let spread = |subset: &[usize]| -> (f64, Vec<usize>) {
         let (b, ..) = linear(&x.select_rows(subset), &y.select_rows(subset));
         let r = &y - &x * b;
+        let squares: Vec<f64> = r.row_iter().map(|r| r.norm_squared()).collect();
         let mut order: Vec<usize> = (0..n).collect();
-        order.sort_by(|&a, &b| r.row(a).norm_squared().total_cmp(&r.row(b).norm_squared()));
+        order.select_nth_unstable_by(held - 1, |&a, &b| squares[a].total_cmp(&squares[b]).then(a.cmp(&b)));
         order.truncate(held);
-        (order.iter().map(|&k| r.row(k).norm_squared()).sum(), order)
+        // In the order of the table, so that sums do not depend on how they were picked.
+        order.sort_unstable();
+        (order.iter().map(|&k| squares[k]).sum(), order)
     };
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed ^ 0x0175);
     let mut best: Option<(f64, Vec<usize>)> = None;

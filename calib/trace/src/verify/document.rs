@@ -8,7 +8,7 @@ use super::explained::Explained;
 use super::left_out::Errors;
 use super::session_model::{FloorStatement, SessionModel};
 use crate::method::hypothesis::{Gate, Hypothesis};
-use crate::method::noise::Noise;
+use crate::method::noise::{Noise, NoiseInputs};
 use wcal_core::verify_document::{
     CorrelatedNoise, FlaggedReading, NoiseDocument, NoiseLaw, NoisePart, TwinCheck, Verdict, VerifyDocument,
 };
@@ -47,7 +47,11 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         coverage95: errors.coverage95,
         next_measurement: next.flatten(),
         detectable: detect::table(model, fit, test),
-        cautions: model.cautions(&conclusion.accepted).iter().map(|c| model.format_text(c)).collect(),
+        cautions: (model.cautions(&conclusion.accepted).into_iter())
+            .chain(noise.as_ref().and_then(|n| slow_noise(n, &model.noise_inputs())))
+            .chain(tails_by_one(model, &conclusion.accepted, &of.noise))
+            .map(|c| model.format_text(&c))
+            .collect(),
         notes: notes(model, explained, conclusion, floor, &noise, in_turn),
         leave_one_effect_out: decision.ablations.clone(),
         holdout: assessment.holdout.clone(),
@@ -175,6 +179,39 @@ fn noise_document(noise: &Noise, session: Option<NoisePart>, unit: &str) -> Nois
         }),
         unit: unit.to_owned(),
     }
+}
+
+/// Swings of a slow part that a record must hold to show that it is noise: fewer are those of a drift, or of a zero that moved once and came back.
+const SWINGS: f64 = 10.0;
+/// Times the scatter of neighbours from which a slow part matters.
+const MANY: f64 = 2.0;
+
+/// A correlated part of which the record holds a few swings alone, as a sentence: the fit takes it for noise, and it may be none.
+fn slow_noise(noise: &NoiseDocument, inputs: &NoiseInputs) -> Option<String> {
+    let (slow, repeat) = (noise.correlated?, noise.repeat?.value);
+    let (whole, unit) = match &inputs.clock {
+        Some(clock) => (clock.last()? - clock.first()?, "s"),
+        None => (inputs.settings.len() as f64 - 1.0, "readings"),
+    };
+    let (tau, own) = (slow.time_constant_s, &noise.unit);
+    (SWINGS * tau > whole && slow.sd > MANY * repeat).then(|| {
+        format!(
+            "readings move together by {:.3} {own} within {tau:.0} of {whole:.0} {unit}, neighbours agree to {repeat:.3} {own}: taken as noise, but \
+             a zero that moved and came back looks the same. Measure again, or for longer.",
+            slow.sd
+        )
+    })
+}
+
+/// Tails that are heavy by one reading alone, as a sentence that names it.
+fn tails_by_one<M: SessionModel>(model: &M, accepted: &Hypothesis, noise: &Noise) -> Option<String> {
+    noise.tails.filter(|t| t.by_one)?;
+    let sizes = accepted.fit.residual.row_iter().map(|r| r.norm());
+    let (largest, _) = sizes.enumerate().max_by(|a, b| a.1.total_cmp(&b.1))?;
+    Some(format!(
+        "point {} alone makes the noise heavy-tailed, and the noise floor larger: a false reading, or one that chance gives now and then. Look at it.",
+        model.origin(largest).point
+    ))
 }
 
 /// The noise in one or two plain sentences; none where there is nothing to say beyond its size.

@@ -9,8 +9,8 @@
 //! p_k = P(at least k of N values exceed the k-th largest) = binomial tail with P(|t_nu| > z_k / sigma)
 //! ```
 //!
-//! `nu` is not known: the heaviest tails that the likelihood allows (2 log L within 2.71 of its maximum, a one-sided 95 % bound) judge, so a
-//! sample that happens to look light-tailed flags nothing that heavier tails would have given.
+//! `nu` is not known: p_k is averaged over it with the likelihood of the others as weight (equal odds before). Heavy tails flag little where the
+//! others show them; where the others are Gaussian, a single reading far outside does not make the noise heavy-tailed by itself.
 
 use crate::levels::{gain, gain_at_bound};
 use statrs::distribution::{Binomial, ContinuousCDF, DiscreteCDF, Normal, StudentsT};
@@ -33,6 +33,8 @@ pub struct Tails {
     pub heaviest_scale: f64,
     /// Heavier than a Gaussian beyond doubt.
     pub heavy: bool,
+    /// Heavy by the largest value alone: the others are not.
+    pub by_one: bool,
 }
 
 impl Tails {
@@ -98,10 +100,9 @@ fn likelihood(nu: f64, z: &[f64], censored: usize) -> (f64, f64) {
     (at(sigma), sigma)
 }
 
-/// Tails of standardised residuals whose `censored` largest are not to be believed.
-fn fit_sorted(sorted: &[f64], censored: usize) -> Tails {
-    let z = &sorted[..sorted.len() - censored];
-    let fits = NU.map(|nu| (nu, likelihood(nu, z, censored)));
+/// Tails of sorted standardised residuals.
+fn fit_sorted(sorted: &[f64]) -> Tails {
+    let fits = NU.map(|nu| (nu, likelihood(nu, sorted, 0)));
     let best = fits.iter().map(|f| f.1.0).fold(f64::NEG_INFINITY, f64::max);
     // One-sided 95 % bound of a likelihood.
     let bound = gain_at_bound(0.05);
@@ -117,6 +118,7 @@ fn fit_sorted(sorted: &[f64], censored: usize) -> Tails {
         heaviest_scale: heaviest.1.1,
         lightest: lightest.0,
         heavy: 2.0 * (best - gaussian) > gain(0.01, 1),
+        by_one: false,
     }
 }
 
@@ -127,7 +129,10 @@ pub fn tails(residuals: &[f64]) -> Option<Tails> {
         return None;
     }
     sorted.sort_by(f64::total_cmp);
-    (sorted[sorted.len() / 2] > 0.0).then(|| fit_sorted(&sorted, 0))
+    (sorted[sorted.len() / 2] > 0.0).then(|| {
+        let all = fit_sorted(&sorted);
+        Tails { by_one: all.heavy && !fit_sorted(&sorted[..sorted.len() - 1]).heavy, ..all }
+    })
 }
 
 /// The largest values that no tails explain, and their p-value.
@@ -141,12 +146,15 @@ pub struct ExtremeValues {
     pub p_value: f64,
 }
 
+/// Fewer values say nothing of their tails.
+const MIN_VALUES: usize = 12;
+
 /// Looks for outlying values among `residuals`, at most `most` of them: from the most downwards, the first number whose p-value is below `level`.
 pub fn extreme_values(residuals: &[f64], most: usize, level: f64) -> Option<ExtremeValues> {
     let mut sorted: Vec<f64> = residuals.iter().map(|z| z.abs()).collect();
     sorted.sort_by(f64::total_cmp);
     let n = sorted.len();
-    if n < 20 || !(sorted[n / 2] > 0.0) {
+    if n < MIN_VALUES || !(sorted[n / 2] > 0.0) {
         return None;
     }
     for k in (1..=most.min(n / 4)).rev() {
@@ -155,9 +163,16 @@ pub fn extreme_values(residuals: &[f64], most: usize, level: f64) -> Option<Extr
         if largest < 3.0 * sorted[n / 2] / 0.674 {
             continue;
         }
-        let tails = fit_sorted(&sorted, k);
-        let single = two_sided_tail(tails.heaviest, largest / tails.heaviest_scale);
-        let p_value = Binomial::new(single.clamp(0.0, 1.0), n as u64).map_or(1.0, |b| b.sf(k as u64 - 1));
+        let fits = NU.map(|nu| (nu, likelihood(nu, &sorted[..n - k], k)));
+        let best = fits.iter().map(|f| f.1.0).fold(f64::NEG_INFINITY, f64::max);
+        let (mut sum, mut whole) = (0.0, 0.0);
+        for (nu, (log_likelihood, scale)) in fits {
+            let single = two_sided_tail(nu, largest / scale).clamp(0.0, 1.0);
+            let weight = (log_likelihood - best).exp();
+            sum += weight * Binomial::new(single, n as u64).map_or(1.0, |b| b.sf(k as u64 - 1));
+            whole += weight;
+        }
+        let p_value = sum / whole;
         if p_value < level {
             return Some(ExtremeValues { beyond: largest, count: k, p_value: p_value.max(1e-300) });
         }
@@ -188,7 +203,7 @@ mod tests {
     #[test]
     fn heavy_tails_are_not_flagged_and_a_gross_reading_is_alone() {
         for nu in [Some(3.0), Some(5.0), Some(8.0), None] {
-            for n in [60, 600] {
+            for n in [22, 60, 600] {
                 let rate = flagged(nu, n);
                 // 300 samples at a level of 0.002 over eight looks: more than 8 hits would be beyond chance at 0.01.
                 assert!(rate <= 0.027, "{nu:?} {n}: {rate}");
@@ -202,6 +217,23 @@ mod tests {
         }
     }
 
+    /// A single reading does not make the noise of few readings heavy-tailed.
+    #[test]
+    fn a_gross_reading_of_few_is_told_from_heavy_tails() {
+        let found = |n: usize, size: f64| {
+            let one = |seed: u64| {
+                let mut z = draws(None, n, seed);
+                z[n / 2] += size;
+                extreme_values(&z, 2, 2e-3).is_some_and(|f| f.count == 1)
+            };
+            (0..100).filter(|s| one(*s)).count()
+        };
+        let (few, more) = (found(14, 20.0), found(22, 15.0));
+        assert!(few >= 80 && more >= 70, "{few} {more}");
+        // Control: five standard deviations are none, of heavy tails or not.
+        assert!(found(22, 5.0) <= 5, "{}", found(22, 5.0));
+    }
+
     #[test]
     fn tails_are_named_where_they_are_heavy() {
         let named = |nu, n| (0..100).filter(|s| tails(&draws(nu, n, *s)).unwrap().heavy).count();
@@ -211,5 +243,9 @@ mod tests {
             named(Some(4.0), 600),
             named(None, 600)
         );
+        // One of them makes a Gaussian sample heavy; many are heavy without it.
+        let mut z = draws(None, 30, 4);
+        z[7] = 9.0;
+        assert!(tails(&z).unwrap().by_one && !tails(&draws(Some(3.0), 600, 1)).unwrap().by_one);
     }
 }

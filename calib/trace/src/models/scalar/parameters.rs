@@ -6,7 +6,7 @@ use super::system::ScalarSystem;
 use crate::effect::{EffectTerm, Role};
 use crate::levels::NORMAL_95;
 use crate::measurement_model::MeasurementModel;
-use crate::method::fit::Fit;
+use crate::method::fit::{Fit, linear};
 use crate::method::inference::{self, t95};
 use nalgebra::DMatrix;
 use wcal_core::verify_document::EffectParameter;
@@ -120,8 +120,9 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
         };
         for (p, v) in law.parameters.iter().zip(&term.values) {
             let half = t * covariance[(slot, slot)].max(0.0).sqrt();
-            // A place between two readings has no derivative: the data do not tell where between them it is.
-            let [below, above] = if half > 0.0 { [half; 2] } else { plateau(system, fit, slot - q) };
+            // The place of a change has no derivative: readings tell between which of them it lies.
+            let [below, above] =
+                if half > 0.0 && p.unit != "clock" { [half; 2] } else { reach95(system, fit, slot - q) };
             slot += 1;
             if term.effect == effect {
                 let at_least_none = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;
@@ -160,24 +161,33 @@ pub fn zero_scatter(system: &ScalarSystem, fit: &Fit) -> f64 {
     (square + sum * sum) / dof * (1.0 + 1.0 / (dof + 1.0)) * (t95(dof) / NORMAL_95).powi(2)
 }
 
-/// How far nonlinear value `slot` can move down and up without moving any prediction.
-fn plateau(system: &ScalarSystem, fit: &Fit, slot: usize) -> [f64; 2] {
+/// How far nonlinear value `slot` can move down and up until its sum of squares, with the coefficients that suit it, rises by what a 95 %
+/// interval of the likelihood allows: chi-squared of one degree of freedom. Readings are taken as independent.
+fn reach95(system: &ScalarSystem, fit: &Fit, slot: usize) -> [f64; 2] {
     let places =
         fit.terms.iter().enumerate().flat_map(|(t, term)| (0..term.values.len()).map(move |k| (t, k)));
     let Some((t, k)) = places.into_iter().nth(slot) else { return [0.0; 2] };
     let [lo, hi] = system.catalogue()[fit.terms[t].effect].law(fit.terms[t].law).parameters[k].range;
     let value = fit.terms[t].values[k];
-    let same = |v: f64| {
+    let counted: Vec<usize> =
+        (0..fit.design.nrows()).filter(|i| fit.design.row(*i).iter().any(|v| *v != 0.0)).collect();
+    let measured = system.measured().select_rows(&counted);
+    let ssr = |v: f64| {
         let mut terms = fit.terms.clone();
         terms[t].values[k] = v;
-        system.design(&terms).is_some_and(|d| d == fit.raw_design)
+        let design = system.design(&terms)?.select_rows(&counted);
+        Some(linear(&design, &measured).1.norm_squared())
     };
+    let Some(least) = ssr(value) else { return [0.0; 2] };
+    // The rounding of sums that are equal.
+    let most = least * (1.0 + 1e-9) + least / fit.dof.max(1.0) * NORMAL_95.powi(2);
     [lo, hi].map(|end| {
-        // Bisection for the last place that still is the same.
+        // Bisection for the last place that is as good.
         let (mut inside, mut outside) = (0.0, 1.0);
         for _ in 0..30 {
             let middle = 0.5 * (inside + outside);
-            if same(value + middle * (end - value)) { inside = middle } else { outside = middle }
+            let good = ssr(value + middle * (end - value)).is_some_and(|at| at <= most);
+            if good { inside = middle } else { outside = middle }
         }
         (inside * (end - value)).abs()
     })

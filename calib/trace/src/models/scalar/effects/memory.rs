@@ -47,27 +47,31 @@ pub fn bouc_wen(u: &[f64], width: f64) -> Vec<f64> {
         .collect()
 }
 
-/// The stimulus at an earlier time, linear between readings.
-pub fn delayed(u: &[f64], time: &[f64], delay: f64) -> Vec<f64> {
-    let mut j = 0;
-    time.iter()
-        .enumerate()
-        .map(|(k, t)| {
-            let at = t - delay;
-            while j + 1 < k && time[j + 1] <= at {
-                j += 1;
-            }
-            if k == 0 || at <= time[0] {
-                return u[0];
-            }
-            let gap = time[j + 1] - time[j];
-            if gap > 0.0 {
-                u[j] + (u[j + 1] - u[j]) * ((at - time[j]) / gap).clamp(0.0, 1.0)
-            } else {
-                u[j + 1]
-            }
-        })
-        .collect()
+/// The stimulus at an earlier time, linear between readings; before the first one it stood still, or, `moving`, went on as it does after it:
+/// u(t0 - d) = 2 u(t0) - u(t0 + d).
+pub fn delayed(u: &[f64], time: &[f64], delay: f64, moving: bool) -> Vec<f64> {
+    let Some((&first, &begun)) = u.first().zip(time.first()) else { return Vec::new() };
+    let at = |t: f64| {
+        let j = time.partition_point(|x| *x <= t).clamp(1, time.len().max(2) - 1);
+        let gap = time[j] - time[j - 1];
+        if gap > 0.0 {
+            u[j - 1] + (u[j] - u[j - 1]) * ((t - time[j - 1]) / gap).clamp(0.0, 1.0)
+        } else {
+            u[j]
+        }
+    };
+    let stimulus = |t: f64| match begun - t {
+        _ if u.len() < 2 => first,
+        before if before < 0.0 => at(t),
+        before if moving => 2.0 * first - at(begun + before),
+        _ => first,
+    };
+    time.iter().map(|t| stimulus(t - delay)).collect()
+}
+
+/// State of a first-order lag at the first reading of a stimulus that has been in motion as it is after it.
+pub fn begun_in_motion(u: &[f64], time: &[f64], tau: f64) -> f64 {
+    delayed(u, time, tau, true).first().copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]
@@ -87,9 +91,13 @@ mod tests {
     #[test]
     fn a_ramp_is_delayed_by_the_delay() {
         let time: Vec<f64> = (0..50).map(f64::from).collect();
-        let out = delayed(&time, &time, 3.25);
+        let out = delayed(&time, &time, 3.25, false);
         assert!((out[40] - 36.75).abs() < 1e-12 && out[0] == 0.0);
-        assert_eq!(delayed(&time, &time, 0.0), time);
+        assert_eq!(delayed(&time, &time, 0.0, false), time);
+        // In motion before the first reading, too: the state of a ramp is its delay, and so is that of a lag.
+        assert!((delayed(&time, &time, 3.25, true)[0] + 3.25).abs() < 1e-12);
+        let ramp = relaxed_from(begun_in_motion(&time, &time, 3.25), &time, &time, 3.25);
+        assert!(ramp.iter().zip(&time).all(|(r, t)| (r - (t - 3.25)).abs() < 1e-12));
     }
 
     #[test]

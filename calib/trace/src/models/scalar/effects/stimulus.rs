@@ -1,6 +1,6 @@
 //! Effects on the stimulus, and those that can act on it.
 
-use super::memory::{bouc_wen, delayed, play, relaxed, relaxed_from};
+use super::memory::{begun_in_motion, bouc_wen, delayed, play, relaxed, relaxed_from};
 use crate::effect::{Effect, EffectModel, LawRequirement, Values, law};
 use crate::scalar::frame::Declared;
 use crate::scalar::scalar_effect::ScalarEffect;
@@ -199,7 +199,8 @@ pub fn backlash(declared: Declared) -> ScalarEffect {
     }
 }
 
-/// Lag: the response belongs to an earlier stimulus: pure delay of unsynchronised clocks, or a first-order low pass.
+/// Lag: the response belongs to an earlier stimulus: pure delay of unsynchronised clocks, or a first-order low pass. What the stimulus did before
+/// the first reading is not known: it stood still, or moved as it does after it.
 pub fn lag() -> ScalarEffect {
     let late = |name, value| {
         let timed = law(name).needing(&[LawRequirement::Slope, LawRequirement::Time]);
@@ -210,8 +211,12 @@ pub fn lag() -> ScalarEffect {
             let Some(time) = &frame.time else { return false };
             let late = values.all()[0];
             if late > 0.0 {
-                let moved =
-                    if values.law() == "delay" { delayed(u, time, late) } else { relaxed(u, time, late) };
+                let moved = match values.law() {
+                    "delay" => delayed(u, time, late, false),
+                    "delay-in-motion" => delayed(u, time, late, true),
+                    "first-order-in-motion" => relaxed_from(begun_in_motion(u, time, late), u, time, late),
+                    _ => relaxed(u, time, late),
+                };
                 u.copy_from_slice(&moved);
             }
             true
@@ -221,7 +226,12 @@ pub fn lag() -> ScalarEffect {
             ..Effect::new(
                 "lag",
                 "The response lags behind the stimulus in time.",
-                vec![late("delay", "delay"), late("first-order", "time_constant")],
+                vec![
+                    late("delay", "delay"),
+                    late("first-order", "time_constant"),
+                    late("delay-in-motion", "delay"),
+                    late("first-order-in-motion", "time_constant"),
+                ],
             )
         }
         .into()

@@ -71,9 +71,9 @@ impl Place {
 
     fn train(&self) {
         let (plan, sweeps, model) = (self.path("plan.toml"), self.path("sweeps"), self.path("model"));
-        std::fs::write(&plan, "rate_hz = 10.0\nmost_mm = 60.0\n").unwrap();
+        std::fs::write(&plan, "rate_hz = 10.0\nmost_mm = 40.0\n").unwrap();
         let objects = ["--object", "ball", "--object", "block", "--object", "can"];
-        let simulate = ["simulate", "--sweeps", "4", "--plan", &plan, "--out", &sweeps];
+        let simulate = ["simulate", "--sweeps", "3", "--plan", &plan, "--out", &sweeps];
         good(&[&simulate[..], &objects[..]].concat());
         let card = good(&["train", &sweeps, "--epochs", "1", "--out", &model, "--json"]);
         assert_eq!((&card["format"], &card["trained_on_simulation"]), (&"wcal-model/1".into(), &true.into()));

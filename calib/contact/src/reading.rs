@@ -92,6 +92,10 @@ pub struct Reading {
     pub in_prefix: bool,
     /// What happened since the reading before is not known.
     pub gap: bool,
+    /// By how much one standard deviation of each common unknown changes the displacement, base frame, mm; empty where none does.
+    pub shared_displacement_mm: Vec<Vector3<f64>>,
+    /// Counts up where the contact was left, as far as the source knows.
+    pub visit: u32,
 }
 
 impl Reading {
@@ -108,6 +112,8 @@ impl Reading {
             velocity_mm_s: None,
             in_prefix: false,
             gap: false,
+            shared_displacement_mm: Vec::new(),
+            visit: 0,
         }
     }
 }

@@ -38,25 +38,23 @@
 pub mod bound;
 pub mod check;
 pub mod contact_path;
-pub mod contact_stream;
 pub mod episode;
-pub mod episodes;
 pub mod field;
 mod interpolation;
 pub mod motion_log;
 pub mod posterior;
 pub mod recursive;
+pub mod segmenter;
 
 pub use bound::bound_mm;
 pub use check::Innovations;
-pub use contact_stream::{ContactStream, StreamedContact};
 pub use episode::{CorrelatedNoise, Episode, EpisodeContact, MotionRow, Settings};
 pub(crate) use episode::{TABLE_MM, TABLE_SHARE, check_row, check_rows};
-pub use episodes::episodes;
 pub use field::{Friction, MomentField};
 pub use motion_log::{LogRow, Motion, MotionLog, MotionUnknown};
 pub use posterior::Posterior;
 pub use recursive::RecursivePosterior;
+pub use segmenter::{Segmenter, Step};
 
 use crate::ContactError;
 use contact_path::{ContactPath, loaded};

@@ -50,8 +50,7 @@ fn tracked(
     let mut motion = model.groove_motion(whole).unwrap();
     change(&mut motion);
     let [sealed, _] = whole.held_out();
-    let found = track(whole, motion, |i| sealed[i]).unwrap();
-    let mut compared = found.compared(whole, |i| whole.row(i).groove_mm).unwrap();
+    let mut compared = compared(whole, motion, |i| sealed[i], |i| whole.row(i).groove_mm).unwrap();
     compared.dedup_by_key(|c| c.trajectory);
     compared
 }

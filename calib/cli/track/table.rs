@@ -131,8 +131,9 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
         simulated,
     };
     if let Some(network) = loaded.estimator(args.sweep)? {
+        let poses = has_motion(path)?.then(|| read(path)).transpose()?;
         return Ok(prepared(
-            source.past_object(args.base_mm_s)?,
+            source.past_object(poses.as_ref(), args.base_mm_s),
             Box::new(network),
             (true, args.tare_s.unwrap_or(0.0)),
             None,

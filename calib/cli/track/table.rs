@@ -264,10 +264,11 @@ pub fn track(
         out: args.out.clone(),
         table: Some(TableDocument {
             lag_s: 0.0,
-            tare_s: whisker.estimator.trajectories.is_none().then_some(of.tare_s),
+            tare_s: found.groove.is_none().then_some(of.tare_s),
             unusable_rows: unusable,
             motion: log,
             object: on_object.clone(),
+            groove_tracking: found.groove,
             whisker,
         }),
         stream: None,

@@ -47,10 +47,8 @@ fn moment_field(wire: &AcceptedWire, axes: &MomentAxes) -> MomentField {
 impl CalibratedWire {
     /// With the wire by one standard deviation of each of the readings' first common unknowns; `diameter_mm` is the declared one.
     pub fn new(wire: &AcceptedWire, changed: &[AcceptedWire], diameter_mm: f64) -> Self {
-        let axes = MomentAxes::default();
-        let changed = changed.iter().map(|w| moment_field(w, &axes)).collect();
-        let field = Arc::new(moment_field(wire, &axes).with_changed(changed));
-        Self { field, rod: wire.rod.clone(), diameter_mm, tolerance: None }
+        let base = (&WireFrame::default(), &MomentAxes::default());
+        Self::of_session((wire, changed), base, diameter_mm)
     }
 
     /// The wire of a session in a frame, or, where the rod of an accepted one cannot be turned, by its own axes.

@@ -17,11 +17,9 @@ use crate::track_document::ContactDocument;
 use nalgebra::{Matrix2, Vector3};
 use wcal_core::stream::Flags;
 
-/// Rows of a contact that are kept for the case that it slides later, and blocks by which it is weighed.
-const MAX_BEFORE: usize = 4096;
-const MAX_BLOCKS: usize = 60;
-/// Fewer blocks say nothing of how a contact moves.
+/// Blocks by which a contact is weighed; fewer say nothing of how it moves.
 const MIN_BLOCKS: usize = 3;
+const MAX_BLOCKS: usize = 60;
 /// Contacts of this probability and more are points of the object.
 const TOUCHED: f64 = 0.9;
 
@@ -29,9 +27,8 @@ const TOUCHED: f64 = 0.9;
 pub(crate) struct ContactSoFar {
     posteriors: Vec<RecursivePosterior>,
     push: Vector3<f64>,
-    /// The last free row before it, its loaded rows until it is followed as one that slides, and their blocks.
+    /// The last free row before it, and blocks of its loaded rows.
     before: Option<MotionRow>,
-    rows: Vec<MotionRow>,
     blocks: Blocks,
     sliding: Option<SlidingStream>,
     weights: ContactWeights,
@@ -55,7 +52,6 @@ impl ContactSoFar {
             posteriors,
             push,
             before: lead.into_iter().next_back().filter(|_| rows.len() == 1),
-            rows: Vec::new(),
             blocks: Blocks::default(),
             sliding: None,
             weights: ContactWeights::prior(of.prior),
@@ -119,10 +115,7 @@ impl ContactSoFar {
         (disagrees, pose_nmm2): (bool, Matrix2<f64>),
     ) -> Result<Option<(EpisodeContact, ArcDensity)>, ContactError> {
         let complete = self.blocks.push(row);
-        let slid = self.sliding.as_mut().and_then(|sliding| sliding.push(row));
-        if self.sliding.is_none() && self.rows.len() < MAX_BEFORE {
-            self.rows.push(row.clone());
-        }
+        let slid = self.sliding.as_mut().and_then(|sliding| sliding.push(row, &self.blocks.means));
         let blocks = self.blocks.means.len();
         if !complete || !(MIN_BLOCKS..MAX_BLOCKS).contains(&blocks) {
             return Ok(slid);
@@ -137,11 +130,10 @@ impl ContactSoFar {
             blocks: self.blocks.means.at_middles().iter().map(noisy).collect(),
             factors: false,
         };
-        let sliding = self.sliding.as_ref().and_then(SlidingStream::ln_evidence);
-        let sliding = sliding.filter(|(_, solved)| *solved == blocks).map_or(OUT, |s| s.0);
+        let sliding = self.sliding.as_ref().map_or(OUT, |s| s.ln_evidence(blocks));
         self.weights = weighed.evidence(of.prior, [sliding, OUT], false).weights(&[]);
         if self.sliding.is_none() && (disagrees || self.weights.regimes.of(Regime::Fixed) < 0.5) {
-            self.sliding = Some(SlidingStream::new(of.wire.touched()?, &std::mem::take(&mut self.rows)));
+            self.sliding = Some(SlidingStream::new(of.wire.touched()?));
         }
         Ok(slid.filter(|_| self.weights.regimes.of(Regime::Sliding) > MIN_WEIGHT))
     }

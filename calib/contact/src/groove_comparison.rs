@@ -47,6 +47,10 @@ pub fn coverage_rejected(t: &GrooveTracking) -> bool {
         && t.rmse_mm > MAX_ERROR_OVER_BOUND * t.bound_mm
 }
 
+fn rms(all: &[Compared], of: fn(&Compared) -> f64) -> f64 {
+    (all.iter().map(|c| of(c).powi(2)).sum::<f64>() / all.len() as f64).sqrt()
+}
+
 /// k of expanded uncertainties.
 const COVERAGE_FACTOR: f64 = 2.0;
 
@@ -58,9 +62,8 @@ fn uncertainty(compared: &[Compared]) -> Vec<ContactUncertainty> {
     }
     // Trajectories are independent, their readings are not: one number a trajectory, root mean square over them.
     let of = |(at, each): (i64, BTreeMap<u32, Compared>)| {
-        let rms = |of: fn(&Compared) -> f64| {
-            (each.values().map(|c| of(c).powi(2)).sum::<f64>() / each.len() as f64).sqrt()
-        };
+        let each: Vec<Compared> = each.into_values().collect();
+        let rms = |of: fn(&Compared) -> f64| rms(&each, of);
         ContactUncertainty {
             arclength_mm: at as f64,
             trajectories: each.len(),
@@ -76,13 +79,12 @@ fn uncertainty(compared: &[Compared]) -> Vec<ContactUncertainty> {
 /// Errors, bound and coverage over readings; none where nothing was compared.
 pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTracking> {
     let n = compared.len() as f64;
-    let rms = |of: fn(&Compared) -> f64| (compared.iter().map(|c| of(c).powi(2)).sum::<f64>() / n).sqrt();
     let trajectories = |of: fn(&Compared) -> bool| {
         compared.iter().filter(|c| of(c)).map(|c| c.trajectory).collect::<BTreeSet<_>>().len()
     };
     (!compared.is_empty()).then(|| GrooveTracking {
-        rmse_mm: rms(|c| c.error_mm),
-        bound_mm: rms(|c| c.bound_mm),
+        rmse_mm: rms(compared, |c| c.error_mm),
+        bound_mm: rms(compared, |c| c.bound_mm),
         coverage95: compared.iter().filter(|c| c.held).count() as f64 / n,
         points: compared.len(),
         trajectories: trajectories(|_| true),
@@ -95,9 +97,6 @@ pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTrack
 
 /// The same readings through the declared and through the accepted model; none where either compares nothing.
 pub fn contact_comparison(before: &[Compared], after: &[Compared]) -> Option<ContactComparison> {
-    let rms = |all: &[Compared], of: fn(&Compared) -> f64| {
-        (all.iter().map(|c| of(c).powi(2)).sum::<f64>() / all.len() as f64).sqrt()
-    };
     let error = |all: &[Compared], trajectory: u32| {
         let own: Vec<Compared> = all.iter().filter(|c| c.trajectory == trajectory).copied().collect();
         (!own.is_empty()).then(|| rms(&own, |c| c.error_mm))

@@ -4,6 +4,7 @@
 //! regions, `P(H <= h)` of the binomial distribution with p = 0.9 says whether fewer are an accident.
 
 use crate::estimator::ContactEstimate;
+use crate::mesh_score::Distances;
 use crate::track_document::GrooveScore;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::BTreeMap;
@@ -134,20 +135,19 @@ impl KnownGroove {
         if self.compared.is_empty() {
             return None;
         }
-        let mut off_mm: Vec<f64> = self.compared.iter().map(|c| c.off_mm).collect();
-        off_mm.sort_by(f64::total_cmp);
-        let quantile = |share: f64| off_mm[((off_mm.len() - 1) as f64 * share).round() as usize];
+        let Distances { rmse_mm, median_mm, p95_mm, .. } =
+            Distances::new(self.compared.iter().map(|c| c.off_mm).collect());
         // A covariance that is not positive definite states nothing.
         let stated: Vec<bool> = self.compared.iter().filter_map(|c| c.in_region90).collect();
         let held = stated.iter().filter(|held| **held).count();
         Some(GrooveScore {
             readings: self.places.len(),
-            compared: off_mm.len(),
+            compared: self.compared.len(),
             without_contact: self.unseen,
-            rmse_mm: (off_mm.iter().map(|d| d * d).sum::<f64>() / off_mm.len() as f64).sqrt(),
-            median_mm: quantile(0.5),
-            p95_mm: quantile(0.95),
-            largest_mm: quantile(1.0),
+            rmse_mm,
+            median_mm,
+            p95_mm,
+            largest_mm: self.compared.iter().map(|c| c.off_mm).fold(0.0, f64::max),
             coverage90: (!stated.is_empty()).then(|| held as f64 / stated.len() as f64),
         })
     }

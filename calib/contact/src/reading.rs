@@ -9,7 +9,7 @@
 //! draw for readings of one pose; R: the reading's own noise, where it is known. B - R is the law's misfit: no noise of a reading, but an error
 //! that readings of like moments share.
 
-use crate::known_motion::MotionUnknown;
+use crate::known_motion::{Motion, MotionUnknown};
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_track::stream::BasePose;
@@ -58,6 +58,13 @@ pub struct RowMotion {
     pub piece: u32,
     /// Direction of the push, where it is known.
     pub push: Option<Vector3<f64>>,
+}
+
+impl From<Motion> for RowMotion {
+    fn from(m: Motion) -> Self {
+        let Motion { turn, moved_mm, velocity_mm_s, piece } = m;
+        Self { moved_mm, turn, velocity_mm_s, piece, push: None }
+    }
 }
 
 /// What is assumed of the motion.

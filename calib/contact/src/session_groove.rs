@@ -7,7 +7,7 @@ use crate::ContactError;
 use crate::calibrated_wire::CalibratedWire;
 use crate::estimator::{Contact, Estimator, Findings};
 use crate::frame::in_wire_frame;
-use crate::groove_comparison::{Compared, coverage_rejected, groove_sentence, groove_tracking};
+use crate::groove_comparison::{Compared, groove_sentence, groove_tracking};
 use crate::known_motion::contact_path::ContactPath;
 use crate::known_motion::{CorrelatedNoise, Episode, MotionRow, bound_mm};
 use crate::reading::{Moments, Reading, RowMotion};
@@ -232,7 +232,6 @@ impl Estimator for SessionGroove {
             method: Some(Method::KnownMotion),
             place: Some(AXIS_OF_WIRE),
             trajectories: Some(contacts.iter().map(of).collect()),
-            groove_tracking: Some(self.groove.clone()),
             ..EstimatorDocument::default()
         };
         let disagreement = |c: &WholeContact| {
@@ -242,7 +241,7 @@ impl Estimator for SessionGroove {
         let mut messages: Vec<String> = contacts.iter().filter_map(disagreement).collect();
         let doubt = !messages.is_empty();
         messages.extend(self.groove.as_ref().map(groove_sentence));
-        let coverage_rejected = self.groove.as_ref().is_some_and(coverage_rejected);
-        Findings { document, messages, doubt, coverage_rejected, ..Findings::default() }
+        let groove = Some(self.groove.clone());
+        Findings { document, messages, doubt, groove, ..Findings::default() }
     }
 }

@@ -90,7 +90,7 @@ impl TableSource {
                 base: known.filter(|_| logged.posed).map(base_pose),
                 base_mm_s: known.map(|m| -m.velocity_mm_s.z),
                 velocity_mm_s: known.map(|m| -m.velocity_mm_s),
-                motion: motion.map(row_motion),
+                motion: motion.map(RowMotion::from),
                 ..self.reading(row)
             }
         };
@@ -153,16 +153,6 @@ pub fn median_step_s(path: &Path) -> Result<Option<f64>, ContactError> {
     let times = (0..table.rows.len()).map(|k| table.number(k, column)).collect::<Result<Vec<_>, _>>()?;
     let times: Vec<f64> = times.into_iter().flatten().collect();
     Ok(median(times.windows(2).map(|w| w[1] - w[0])))
-}
-
-fn row_motion(m: Motion) -> RowMotion {
-    RowMotion {
-        moved_mm: m.moved_mm,
-        turn: m.turn,
-        velocity_mm_s: m.velocity_mm_s,
-        piece: m.piece,
-        push: None,
-    }
 }
 
 /// Pose of the base where the object's frame is the world's.

@@ -85,6 +85,9 @@ pub struct TableDocument {
     pub motion: Option<LogDocument>,
     /// Distance of the contacts from the mesh of the object that is passed.
     pub object: Option<MeshScore>,
+    /// Groove of a session against the answers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub groove_tracking: Option<Option<GrooveTracking>>,
     /// Its whisker.
     #[serde(flatten)]
     pub whisker: WhiskerDocument,
@@ -151,9 +154,6 @@ pub struct EstimatorDocument {
     /// Trajectories of a session.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trajectories: Option<Vec<ContactDocument>>,
-    /// Groove of a session against the answers.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub groove_tracking: Option<Option<GrooveTracking>>,
 }
 
 /// A contact of a known motion, or a trajectory of a session.

@@ -19,13 +19,12 @@ use crate::regimes::{GAIN, POINT, RegimeWeights};
 use crate::static_arc::StaticArc;
 use crate::track_document::{AXIS_OF_WIRE, ContactDocument, EstimatorDocument, Method, POINT_OF_OBJECT};
 use crate::whole_contact::{Known, WholeContact, located};
+use crate::zero::WHITE;
 use std::collections::BTreeMap;
 use wcal_core::stream::Flags;
 
 /// Displacement over which a draw of the noise from pose to pose is forgotten, mm. An assumption.
 const POSE_MM: f64 = 0.5;
-/// Share of the noise from pose to pose that a row has for itself where no prefix was measured. An assumption, as for the filters.
-const WHITE: f64 = 0.2;
 /// A contact goes on over rows without moments or motion for so long, s: the displacement is known again after them.
 const MAX_LOST_S: f64 = 1.0;
 

@@ -19,13 +19,14 @@ use crate::static_arc::StaticArc;
 use crate::track_document::ContactDocument;
 use nalgebra::{Matrix2, Vector3};
 use rayon::prelude::*;
+use wcal_core::order_statistics::median;
 use wcal_core::stream::Flags;
 
 /// Free readings before a contact that belong to it.
 const LEAD: usize = 25;
 /// Noise from pose to pose is one draw for poses nearer than this, mm: rows of a dense record are not that many poses. An assumption.
 const SAME_POSE_MM: f64 = 1.0;
-/// Readings past the end of a contact, which show whether the load was lost at once.
+/// Readings past the end of a contact that are looked at.
 const PAST: usize = 2;
 
 /// A contact with its weights.
@@ -33,6 +34,8 @@ pub(crate) struct WholeContact {
     /// Its readings, and their numbers.
     pub episode: Episode,
     pub numbers: Vec<usize>,
+    /// Readings past its end, which show whether the load was lost at once.
+    past: Vec<MotionRow>,
     weights: ContactWeights,
     /// As one at a point, with its weight and what would be misstated; those that may be, the fixed one first.
     points: Vec<(f64, Misstatement, EpisodeEstimate)>,
@@ -79,17 +82,30 @@ pub(crate) fn located(of: &Assumed, mut known: Vec<Known>) -> Result<Vec<WholeCo
         split_noise(&mut known, of.wire.stiffness_sd() > 0.0);
         (Some(of.wire.touched()?), ranges(&of.wire.field, &mut known))
     };
-    let begun = |[from, to]: [usize; 2]| Begun::new(of, &touched, &known, [from, to]);
-    let found: Vec<Begun<'_>> = ranges.into_par_iter().map(begun).collect();
-    let said = |b: &Begun<'_>| b.evidence.as_ref().map_or_else(Vec::new, ContactEvidence::of_misstatements);
-    let said: Vec<Vec<f64>> = found.iter().map(said).collect();
+    let begun = |range: [usize; 2]| {
+        let mut own = WholeContact::new(of, &known, range);
+        let evidence = touched.as_ref().and_then(|touched| {
+            own.slide(of, touched, Misstatement::NONE);
+            own.evidence(of)
+        });
+        (own, evidence)
+    };
+    let found: Vec<(WholeContact, Option<ContactEvidence>)> = ranges.into_par_iter().map(begun).collect();
+    let said =
+        |e: &Option<ContactEvidence>| e.as_ref().map_or_else(Vec::new, ContactEvidence::of_misstatements);
+    let said: Vec<Vec<f64>> = found.iter().map(|f| said(&f.1)).collect();
     // Contacts are independent but for what is misstated, which is so in all of them: their logarithms add up.
     let others = |n: usize| {
         let of =
             |m: usize| said.iter().enumerate().filter(|(k, _)| *k != n).filter_map(|(_, s)| s.get(m)).sum();
         (0..said[n].len()).map(of).collect::<Vec<f64>>()
     };
-    found.into_par_iter().enumerate().map(|(n, begun)| begun.weighed(&others(n))).collect()
+    let weighed = |(n, (mut own, evidence)): (usize, (WholeContact, Option<ContactEvidence>))| {
+        own.weights = evidence.map_or(own.weights, |e| e.weights(&others(n)));
+        own.locate(of, touched.as_ref())?;
+        Ok(own)
+    };
+    found.into_par_iter().enumerate().map(weighed).collect()
 }
 
 /// Noise of the readings, and the misfit of the calibration's law that they share.
@@ -143,99 +159,69 @@ fn ranges(field: &MomentField, known: &mut [Known]) -> Vec<[usize; 2]> {
     segments.into_iter().map(range).collect()
 }
 
-/// A contact before it is weighed.
-struct Begun<'a> {
-    of: &'a Assumed,
-    /// None where it never slides.
-    touched: &'a Option<TouchedWire>,
-    episode: Episode,
-    numbers: Vec<usize>,
-    /// Readings past its end, which show whether the load was lost at once.
-    past: Vec<MotionRow>,
-    sliding: SlidingContact,
-    /// What its readings say of how it moves; none where the motion has no direction, or nothing is in doubt.
-    evidence: Option<ContactEvidence>,
-}
-
-impl<'a> Begun<'a> {
-    fn new(
-        of: &'a Assumed,
-        touched: &'a Option<TouchedWire>,
-        known: &[Known],
-        [from, to]: [usize; 2],
-    ) -> Self {
-        let first = &known[from];
-        let past = known[to..].iter().take(PAST).take_while(|k| k.piece == first.piece);
-        let past = past.map(|k| k.row.clone()).collect();
-        let (rows, numbers) = known[from..to].iter().map(|k| (k.row.clone(), k.number)).unzip();
-        let (episode, sliding) = (Episode { rows, push: first.push }, SlidingContact::nothing(to - from));
-        let mut own = Self { of, touched, episode, numbers, past, sliding, evidence: None };
-        if touched.is_some() {
-            own.slide(Misstatement::NONE);
-            own.evidence = own.evidence();
-        }
-        own
-    }
-
-    /// As one that slides, where this is misstated.
-    fn slide(&mut self, misstated: Misstatement) {
-        let (Some(touched), n) = (self.touched, self.numbers.len()) else { return };
-        let (rows, _) = misstated.undone(&[&self.episode.rows[..], &self.past].concat(), &self.of.settings);
-        self.sliding = locate_sliding(touched, &rows);
-        self.sliding.places.truncate(n);
-        self.sliding.arcs.truncate(n);
-    }
-
-    fn evidence(&self) -> Option<ContactEvidence> {
-        let (field, rows, sliding) = (&self.of.wire.field, &self.episode.rows, &self.sliding);
-        let push = ContactPath::new(field, &self.episode)?.push;
-        let first = rows.iter().position(loaded).unwrap_or(0);
-        let before = first.checked_sub(1).map(|k| rows[k].clone());
-        let (settings, blocks) = (self.of.settings, sliding.means.at_middles());
-        let weighed = Weighed { field, settings, push, before, blocks, factors: true };
-        Some(weighed.evidence(self.of.prior, sliding.ln_evidence, sliding.sure()))
-    }
-
-    /// With its weights, to which the other contacts say this of what may be misstated.
-    fn weighed(mut self, others: &[f64]) -> Result<WholeContact, ContactError> {
-        let (of, field) = (self.of, &self.of.wire.field);
-        let weights =
-            self.evidence.as_ref().map_or_else(|| ContactWeights::prior(of.prior), |e| e.weights(others));
-        if let Some(misstated) = weights.misstated_slide() {
-            self.slide(misstated);
-        }
-        let located = |rows: &[MotionRow], creep_sd: f64, misstated: Misstatement| {
-            let (rows, settings) = misstated.undone(rows, &of.settings);
-            let episode = Episode { rows, push: self.episode.push };
-            estimate_contact(field, &episode, &Settings { creep_sd, ..settings })
-        };
-        let rows = &self.episode.rows;
-        let mut points = Vec::new();
-        for (n, (weight, creep_sd, misstated)) in weights.points().into_iter().enumerate() {
-            // The fixed point's innovations are looked at whatever its weight.
-            if n == 0 || weight > MIN_WEIGHT {
-                points.push((weight, misstated, located(rows, creep_sd, misstated)?));
-            }
-        }
-        let larger = |r: &MotionRow| MotionRow { moment_nmm: r.moment_nmm.map(|m| m * PERCENT), ..r.clone() };
-        let larger: Vec<MotionRow> = rows.iter().map(larger).collect();
-        let moved = self.touched.as_ref().map(|_| located(&larger, 0.0, Misstatement::NONE)).transpose()?;
-        let Self { episode, numbers, sliding, .. } = self;
-        let mut own = WholeContact { episode, numbers, weights, points, sliding, point_mm_by_gain: 0.0 };
-        own.point_mm_by_gain = moved.map_or(0.0, |moved| median_mm(&moved, own.point()));
-        Ok(own)
-    }
-}
-
 /// How far two estimates are from each other, median over the readings, mm.
 fn median_mm(a: &EpisodeEstimate, b: &EpisodeEstimate) -> f64 {
     let both = a.places.iter().zip(&b.places);
-    let mut all: Vec<f64> = both.filter_map(|(a, b)| Some((a.place_mm? - b.place_mm?).norm())).collect();
-    all.sort_by(f64::total_cmp);
-    all.get(all.len() / 2).copied().unwrap_or(0.0)
+    median(both.filter_map(|(a, b)| Some((a.place_mm? - b.place_mm?).norm()))).unwrap_or(0.0)
 }
 
 impl WholeContact {
+    fn new(of: &Assumed, known: &[Known], [from, to]: [usize; 2]) -> Self {
+        let (first, n) = (&known[from], to - from);
+        let past = known[to..].iter().take(PAST).take_while(|k| k.piece == first.piece);
+        let past = past.map(|k| k.row.clone()).collect();
+        let (rows, numbers) = known[from..to].iter().map(|k| (k.row.clone(), k.number)).unzip();
+        let (episode, sliding) = (Episode { rows, push: first.push }, SlidingContact::nothing(n));
+        let (weights, points) = (ContactWeights::prior(of.prior), Vec::new());
+        Self { episode, numbers, past, weights, points, sliding, point_mm_by_gain: 0.0 }
+    }
+
+    /// Follows it as one that slides, where this is misstated.
+    fn slide(&mut self, of: &Assumed, touched: &TouchedWire, misstated: Misstatement) {
+        let (rows, _) = misstated.undone(&[&self.episode.rows[..], &self.past].concat(), &of.settings);
+        self.sliding = locate_sliding(touched, &rows);
+        self.sliding.places.truncate(self.numbers.len());
+        self.sliding.arcs.truncate(self.numbers.len());
+    }
+
+    /// What its readings say of how it moves; none where the motion has no direction.
+    fn evidence(&self, of: &Assumed) -> Option<ContactEvidence> {
+        let (field, rows, sliding) = (&of.wire.field, &self.episode.rows, &self.sliding);
+        let push = ContactPath::new(field, &self.episode)?.push;
+        let first = rows.iter().position(loaded).unwrap_or(0);
+        let before = first.checked_sub(1).map(|k| rows[k].clone());
+        let (settings, blocks) = (of.settings, sliding.means.at_middles());
+        let weighed = Weighed { field, settings, push, before, blocks, factors: true };
+        Some(weighed.evidence(of.prior, sliding.ln_evidence, sliding.sure()))
+    }
+
+    /// Locates it in each way that its weights allow.
+    fn locate(&mut self, of: &Assumed, touched: Option<&TouchedWire>) -> Result<(), ContactError> {
+        if let Some((touched, misstated)) = touched.zip(self.weights.misstated_slide()) {
+            self.slide(of, touched, misstated);
+        }
+        let Episode { rows, push } = &self.episode;
+        let located = |rows: &[MotionRow], creep_sd: f64, misstated: Misstatement| {
+            let (rows, settings) = misstated.undone(rows, &of.settings);
+            let episode = Episode { rows, push: *push };
+            estimate_contact(&of.wire.field, &episode, &Settings { creep_sd, ..settings })
+        };
+        for (n, (weight, creep_sd, misstated)) in self.weights.points().into_iter().enumerate() {
+            // The fixed point's innovations are looked at whatever its weight.
+            if n == 0 || weight > MIN_WEIGHT {
+                self.points.push((weight, misstated, located(rows, creep_sd, misstated)?));
+            }
+        }
+        if touched.is_some() {
+            let larger =
+                |r: &MotionRow| MotionRow { moment_nmm: r.moment_nmm.map(|m| m * PERCENT), ..r.clone() };
+            let larger: Vec<MotionRow> = rows.iter().map(larger).collect();
+            let moved = located(&larger, 0.0, Misstatement::NONE)?;
+            self.point_mm_by_gain = median_mm(&moved, self.point());
+        }
+        Ok(())
+    }
+
     /// How far moments that are larger by 1 % move it, mm.
     pub fn mm_by_gain(&self) -> f64 {
         if self.weights.slides() { self.sliding.mm_by_gain } else { self.point_mm_by_gain }

@@ -58,7 +58,6 @@ pub use segmenter::{Segmenter, Step};
 
 use crate::ContactError;
 use contact_path::{ContactPath, loaded};
-use nalgebra::Matrix3;
 
 /// Result of an episode.
 #[derive(Debug, Clone)]
@@ -139,18 +138,11 @@ impl EpisodeEstimate {
     }
 
     fn nothing(episode: &Episode) -> Self {
-        let place =
-            EpisodeContact { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, outlier: false };
+        let rows = episode.rows.len();
         Self {
-            places: vec![place; episode.rows.len()],
+            places: vec![EpisodeContact::default(); rows],
             posterior: None,
-            innovations: Innovations {
-                plain: 0.0,
-                robust: 0.0,
-                dof: 0.0,
-                outlier: 0,
-                rows: episode.rows.len(),
-            },
+            innovations: Innovations { rows, ..Innovations::default() },
         }
     }
 }

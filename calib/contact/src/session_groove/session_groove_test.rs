@@ -3,6 +3,7 @@
 
 use super::*;
 use crate::arc_posterior::REGION;
+use crate::groove_comparison::coverage_rejected;
 use crate::known_groove::binomial_cdf;
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;

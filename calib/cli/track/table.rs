@@ -3,6 +3,7 @@
 use super::arguments::{ACCURACY, TrackArgs};
 use super::object::{off_object, passed_object, said_of_object};
 use super::output;
+use super::recorded_motion::logged_motion;
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
@@ -152,17 +153,7 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
         ));
     }
     let file = args.motion.as_deref().unwrap_or(path);
-    let logged = read(file)?;
-    logged.warning.iter().for_each(|warning| eprintln!("warning: {warning}"));
-    if let Some(span_s) = source.span_s() {
-        logged.log.check_clock(span_s).with_context(|| file.display().to_string())?;
-    }
-    for line in logged.log.jumps() {
-        eprintln!(
-            "{}: line {line}: the motion jumps; contacts before and after are tracked separately",
-            file.display()
-        );
-    }
+    let logged = logged_motion(file, || Ok(source.span_s()))?;
     let mut readings = source.along(&logged, &(base_from_wire * wire.middle_mm()));
     // A sweep passes an object: the contact slides over it.
     let over_object = path.parent().map(SweepSession::of).transpose()?.flatten().is_some();

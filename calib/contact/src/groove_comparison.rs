@@ -1,7 +1,7 @@
 //! Located places beside a groove that is known: errors, bound, coverage of the regions, and what that makes of a contact's uncertainty.
 
 use crate::arc_posterior::REGION;
-use crate::known_groove::binomial_cdf;
+use crate::known_groove::too_few;
 use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::verify_document::{
     CalibrationContact, ContactComparison, ContactError, ContactUncertainty, GrooveTracking,
@@ -41,10 +41,8 @@ fn lost(compared: &[Compared]) -> usize {
 /// Whether the groove is not where it was said to be: the stated regions hold too few trajectories for an accident, and the error is more than
 /// the bound explains. Of nine trajectories three that miss by hundredths of a millimetre happen where the noise is that small.
 pub fn coverage_rejected(t: &GrooveTracking) -> bool {
-    const LEVEL: f64 = 0.01;
     const MAX_ERROR_OVER_BOUND: f64 = 1.3;
-    binomial_cdf(t.trajectories_held, t.trajectories, REGION) < LEVEL
-        && t.rmse_mm > MAX_ERROR_OVER_BOUND * t.bound_mm
+    too_few(t.trajectories_held, t.trajectories, REGION) && t.rmse_mm > MAX_ERROR_OVER_BOUND * t.bound_mm
 }
 
 fn rms(all: &[Compared], of: fn(&Compared) -> f64) -> f64 {

@@ -116,7 +116,7 @@ impl Segmenter {
                 free: 0,
                 past: 0,
                 first: row.clone(),
-                push,
+                push: push.and_then(|push| push.try_normalize(1e-9)),
                 waiting: Some(Vec::new()),
             });
             (running.free, running.past) = (0, 0);
@@ -174,7 +174,8 @@ impl Segmenter {
         let enough = |w: &Vector3<f64>| w.norm() > BACK_MM.max(3.0 * first.moved_sd_mm);
         let before = || self.lead.iter().rev().map(|row| -displacement(row)).find(enough);
         let after = || waiting.iter().map(displacement).find(enough);
-        let Some(push) = running.push.or_else(before).or_else(after) else {
+        let found = before().or_else(after).map(|push| push.normalize());
+        let Some(push) = running.push.or(found) else {
             // A long hold before any motion: its last readings say as much.
             if waiting.len() > WAITING {
                 waiting.remove(1);

@@ -18,7 +18,7 @@ use wcal_track::stream::BasePose;
 pub(crate) const PERCENT: f64 = 1.01;
 
 /// Moments of a reading with the parts of their uncertainty.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Moments {
     /// Moments, N mm.
     pub moment_nmm: [f64; 2],

@@ -125,10 +125,8 @@ impl SessionGroove {
             sd_nmm: [sd(0), sd(1)],
             valid: r.valid,
             pose_nmm2: r.noise_nmm2,
-            own_nmm2: None,
-            drift_nmm2: Matrix2::zeros(),
-            zero_nmm2: Matrix2::zeros(),
             shared_nmm: r.shared_nmm.clone(),
+            ..Moments::default()
         };
         let direction = self.trajectories[r.line].direction;
         let motion = RowMotion {

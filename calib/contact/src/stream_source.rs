@@ -15,7 +15,7 @@ use crate::track_document::{
 use crate::tracker::ContactTracker;
 use crate::trust::WhiskerModel;
 use crate::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
-use nalgebra::{Matrix2, Vector3};
+use nalgebra::Vector3;
 use std::time::{Duration, Instant};
 use wcal_acquisition::clock_watch::{ClockFault, ClockWatch};
 use wcal_acquisition::clocks::ClockPair;
@@ -366,24 +366,19 @@ impl<'a> Whisker<'a> {
             valid: m.valid,
             pose_nmm2: noise_nmm2,
             own_nmm2: self.chain.row_noise_nmm2(),
-            drift_nmm2: Matrix2::zeros(),
-            zero_nmm2: Matrix2::zeros(),
             shared_nmm,
+            ..Moments::default()
         });
         Reading {
-            point: i64::try_from(row.serial).unwrap_or(i64::MAX),
-            t_s: row.t_s,
             flags: row.flags,
             // What happened in between is not known.
             gap: moments.is_none(),
-            moments,
             motion: motion.relative(row.t_s, &self.kernel, &self.middle_mm),
             base: known.base,
             base_mm_s: known.base_mm_s,
             velocity_mm_s: known.velocity_mm_s,
             in_prefix: self.chain.prefix().block_nmm2().is_none() && row.t_s < self.prefix_s,
-            shared_displacement_mm: Vec::new(),
-            visit: 0,
+            ..Reading::alone(i64::try_from(row.serial).unwrap_or(i64::MAX), row.t_s, moments)
         }
     }
 

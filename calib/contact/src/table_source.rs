@@ -130,8 +130,8 @@ impl TableSource {
             pose_nmm2: s.noise_nmm2,
             own_nmm2: self.noise.misfit_sd_nmm.and(self.noise.reading_sd_nmm).map(diagonal),
             drift_nmm2: self.noise.drift_sd_nmm.map_or_else(Matrix2::zeros, diagonal),
-            zero_nmm2: Matrix2::zeros(),
             shared_nmm: s.shared_nmm.clone(),
+            ..Moments::default()
         };
         let flags = if usable { Flags::default() } else { Flags::REFERENCE_LOST };
         let alone = Reading::alone(row.point, row.t_s.unwrap_or_default(), usable.then_some(moments));

@@ -6,6 +6,7 @@ use crate::arc_posterior::ArcDensity;
 use crate::calibrated_wire::Assumed;
 use crate::estimator::Contact;
 use crate::known_motion::contact_path::{ContactPath, loaded};
+use crate::known_motion::recursive::LEAD;
 use crate::known_motion::segmenter::Segmenter;
 use crate::known_motion::{
     Episode, EpisodeContact, EpisodeEstimate, MomentField, MotionRow, Posterior, Settings, estimate_contact,
@@ -22,8 +23,6 @@ use rayon::prelude::*;
 use wcal_core::order_statistics::median;
 use wcal_core::stream::Flags;
 
-/// Free readings before a contact that belong to it.
-const LEAD: usize = 25;
 /// Noise from pose to pose is one draw for poses nearer than this, mm: rows of a dense record are not that many poses. An assumption.
 const SAME_POSE_MM: f64 = 1.0;
 /// Readings past the end of a contact that are looked at.

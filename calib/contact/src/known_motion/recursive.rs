@@ -40,8 +40,8 @@ use nalgebra::{Matrix2, Rotation3, Vector3};
 use node::{NodeFilter, Reading};
 use std::borrow::Cow;
 
-/// Free readings before a contact that bound its onset.
-const LEAD: usize = 25;
+/// Free readings before a contact that belong to it: they bound its onset.
+pub(crate) const LEAD: usize = 25;
 /// First grid along the wire, mm.
 const SCAN_MM: f64 = 1.0;
 /// Largest number of nodes: what bounds the time of a reading.

@@ -1,4 +1,4 @@
-//! Which readings are of one contact, reading by reading: the one definition of tables, recordings, streams and sessions.
+//! Which readings are of one contact, reading by reading: the one definition of tables, recordings and streams. A session says it itself.
 //!
 //! ```text
 //! loaded      |m_k| > 4 sqrt(tr R_k + sum_j |h_kj|^2)               R_k: noise, h_kj: shared deviations of the calibration

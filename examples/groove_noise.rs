@@ -11,7 +11,7 @@
 use anyhow::{Context, Result, bail};
 use wcal_calibration::WhiskerCalibration;
 use wcal_contact::groove_comparison::Compared;
-use wcal_contact::session_groove::track;
+use wcal_contact::session_groove::compared;
 use wcal_core::SessionData;
 use wcal_core::verify_document::Verdict;
 use wcal_exam::clopper_pearson;
@@ -124,8 +124,7 @@ impl Row {
         let Some(motion) = done.decision.calibration().groove_motion(whole) else { return Ok(()) };
         self.calibrated += 1;
         let [sealed, _] = whole.held_out();
-        let tracked = track(whole, motion, |i| sealed[i])?;
-        let mut found = tracked.compared(whole, |i| whole.row(i).groove_mm)?;
+        let mut found = compared(whole, motion, |i| sealed[i], |i| whole.row(i).groove_mm)?;
         // Its readings have one error.
         found.dedup_by_key(|c| c.trajectory);
         if each {

@@ -358,8 +358,8 @@ fn groove_places(
     let motion = model.groove_motion(system).filter(|_| accepted && readings.clone().all(way_known));
     let Some(motion) = motion else { return Ok(Vec::new()) };
     let [sealed, _] = system.held_out();
-    let tracked = session_groove::track(system, motion, |i| sealed[i] == (split == "holdout"))?;
-    Ok(tracked.compared(system, |i| system.row(i).groove_mm)?)
+    let chosen = |i: usize| sealed[i] == (split == "holdout");
+    Ok(session_groove::compared(system, motion, chosen, |i| system.row(i).groove_mm)?)
 }
 
 fn of_scalar_session(

@@ -1,4 +1,4 @@
-//! The motion that goes with a recording: a log of `--motion`, checked against the recording's clock before anything is tracked.
+//! The log of a motion, checked against the clock of the table or the recording that it goes with before anything is tracked.
 
 use super::arguments::TrackArgs;
 use anyhow::{Context, Result};
@@ -19,26 +19,37 @@ pub fn session_folder(args: &TrackArgs) -> Option<&Path> {
 /// Where log or recording cannot be read, or their clocks have nothing in common.
 pub fn recorded_motion(args: &TrackArgs, parts: &[PathBuf]) -> Result<Option<MotionLog>> {
     let Some(file) = &args.motion else { return Ok(None) };
-    let LoggedMotion { log, warning, .. } = read(file)?;
-    warning.iter().for_each(|warning| eprintln!("warning: {warning}"));
-    let mut span: Option<[f64; 2]> = None;
-    for part in parts {
-        replay::read(part, |message| {
-            if let Message::Scan(scan) = message {
-                let clocks = scan.reading().clocks;
-                let t_s = clocks.device_s.unwrap_or(clocks.host_s);
-                span = Some([span.map_or(t_s, |s| s[0]), t_s]);
-            }
-        })?;
+    let span_s = || {
+        let mut span: Option<[f64; 2]> = None;
+        for part in parts {
+            replay::read(part, |message| {
+                if let Message::Scan(scan) = message {
+                    let clocks = scan.reading().clocks;
+                    let t_s = clocks.device_s.unwrap_or(clocks.host_s);
+                    span = Some([span.map_or(t_s, |s| s[0]), t_s]);
+                }
+            })?;
+        }
+        Ok(span.map(|[first, last]| [0.0, last - first]))
+    };
+    Ok(Some(logged_motion(file, span_s)?.log))
+}
+
+/// A log, checked against the clock of the readings (first and last time, s).
+///
+/// # Errors
+/// Where it cannot be read, or the clocks have nothing in common.
+pub fn logged_motion(file: &Path, span_s: impl FnOnce() -> Result<Option<[f64; 2]>>) -> Result<LoggedMotion> {
+    let logged = read(file)?;
+    logged.warning.iter().for_each(|warning| eprintln!("warning: {warning}"));
+    if let Some(span_s) = span_s()? {
+        logged.log.check_clock(span_s).with_context(|| file.display().to_string())?;
     }
-    if let Some([first, last]) = span {
-        log.check_clock([0.0, last - first]).with_context(|| file.display().to_string())?;
-    }
-    for line in log.jumps() {
+    for line in logged.log.jumps() {
         eprintln!(
             "{}: line {line}: the motion jumps; contacts before and after are tracked separately",
             file.display()
         );
     }
-    Ok(Some(log))
+    Ok(logged)
 }

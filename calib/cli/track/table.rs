@@ -3,6 +3,7 @@
 use super::arguments::{ACCURACY, TrackArgs};
 use super::object::{off_object, passed_object, said_of_object};
 use super::output;
+use super::recorded_motion::logged_motion;
 use crate::simulated::is_simulated;
 use anyhow::{Context, Result, anyhow, bail};
 use std::path::Path;
@@ -11,21 +12,20 @@ use wcal_contact::ContactError;
 use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::Estimator;
 use wcal_contact::known_groove::KnownGroove;
-use wcal_contact::known_motion_stream::KnownMotionStream;
-use wcal_contact::known_motion_table::KnownMotionTable;
 use wcal_contact::motion_table::{LoggedMotion, has_motion, read};
 use wcal_contact::reading::Reading;
-use wcal_contact::session_groove::{session_readings, without_groove};
+use wcal_contact::regimes::{ANY_OBJECT, SWEPT_OBJECT};
+use wcal_contact::session_groove::{SessionGroove, without_groove};
 use wcal_contact::sweep_session::SweepSession;
 use wcal_contact::table_source::TableSource;
 use wcal_contact::track::Input;
 use wcal_contact::track_document::{
     AXIS_OF_WIRE, LogDocument, TRACK_FORMAT, TableDocument, TrackDocument, TrackSource,
 };
+use wcal_contact::tracker::ContactTracker;
 use wcal_contact::trust::WhiskerModel;
 use wcal_contact::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
 use wcal_contact::zero::{FreeStart, beginning};
-use wcal_core::verify_document::GrooveTracking;
 use wcal_core::{SessionData, WhiskerData, WhiskerRow, WireFrame};
 use wcal_trace::whisker::WhiskerSystem;
 
@@ -40,7 +40,6 @@ pub struct Prepared<'a> {
     tare_s: f64,
     groove: Option<KnownGroove>,
     log: Option<LogDocument>,
-    groove_tracking: Option<Option<GrooveTracking>>,
     simulated: bool,
 }
 
@@ -88,19 +87,16 @@ pub fn of_session<'a>(session: &TrackedFolder, loaded: &'a WhiskerModel<'a>) -> 
     let motion = loaded.calibration()?.groove_motion(&system).ok_or_else(|| {
         anyhow!("{}: the calibration gives no moments for this session", loaded.place.display())
     })?;
-    let (readings, mut estimator) = session_readings(&system, motion)?;
     let known = |reading: usize| session.data.rows[system.path.rows[reading]].groove_mm;
-    let groove_tracking = Some(estimator.compare(&system, known)?);
+    let (readings, estimator) = SessionGroove::new(&system, motion, known)?;
     Ok(Prepared {
         readings,
-        // The session's own frame, which the estimator knows.
-        frame: WireFrame::default(),
+        frame: estimator.frame.clone(),
         estimator: Box::new(estimator),
         followed: false,
         tare_s: 0.0,
         groove: None,
         log: None,
-        groove_tracking,
         simulated: session.simulated,
     })
 }
@@ -125,13 +121,20 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
     let groove = KnownGroove::new(source.places.clone(), &whisker);
     let simulated = is_simulated(path);
     let base_from_wire = frame.rotation().inverse();
-    let prepared = move |readings, estimator: Box<dyn Estimator + 'a>, (followed, tare_s), log| {
-        let groove_tracking = None;
-        Prepared { readings, frame, estimator, followed, tare_s, groove, log, groove_tracking, simulated }
+    let prepared = move |readings, estimator: Box<dyn Estimator + 'a>, (followed, tare_s), log| Prepared {
+        readings,
+        frame,
+        estimator,
+        followed,
+        tare_s,
+        groove,
+        log,
+        simulated,
     };
     if let Some(network) = loaded.estimator(args.sweep)? {
+        let poses = has_motion(path)?.then(|| read(path)).transpose()?;
         return Ok(prepared(
-            source.past_object(args.base_mm_s)?,
+            source.past_object(poses.as_ref(), args.base_mm_s),
             Box::new(network),
             (true, args.tare_s.unwrap_or(0.0)),
             None,
@@ -144,29 +147,20 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
         let tare_s = zero_span_s(args, path, &mut readings, (has_misfit, zero_known))?;
         return Ok(prepared(
             readings,
-            Box::new(KnownMotionStream::new(wire, ACCURACY, false)),
+            Box::new(ContactTracker::of_stream(wire, ACCURACY, ANY_OBJECT)),
             (false, tare_s),
             None,
         ));
     }
     let file = args.motion.as_deref().unwrap_or(path);
-    let logged = read(file)?;
-    logged.warning.iter().for_each(|warning| eprintln!("warning: {warning}"));
-    if let Some(span_s) = source.span_s() {
-        logged.log.check_clock(span_s).with_context(|| file.display().to_string())?;
-    }
-    for line in logged.log.jumps() {
-        eprintln!(
-            "{}: line {line}: the motion jumps; contacts before and after are tracked separately",
-            file.display()
-        );
-    }
+    let logged = logged_motion(file, || Ok(source.span_s()))?;
     let mut readings = source.along(&logged, &(base_from_wire * wire.middle_mm()));
     // A sweep passes an object: the contact slides over it.
     let over_object = path.parent().map(SweepSession::of).transpose()?.flatten().is_some();
     // Readings of a sweep follow each other: what the poses of a calibration scatter by is no noise of theirs, but an error that they share.
     let tare_s = zero_span_s(args, path, &mut readings, (has_misfit || over_object, zero_known))?;
-    let estimator = KnownMotionTable::new(wire, ACCURACY, over_object)?;
+    let touched = if over_object { SWEPT_OBJECT } else { ANY_OBJECT };
+    let estimator = ContactTracker::of_record(wire, ACCURACY, touched);
     Ok(prepared(readings, Box::new(estimator), (false, tare_s), Some(log_document(file, &logged))))
 }
 
@@ -261,11 +255,11 @@ pub fn track(
         out: args.out.clone(),
         table: Some(TableDocument {
             lag_s: 0.0,
-            tare_s: of.groove_tracking.is_none().then_some(of.tare_s),
+            tare_s: found.groove.is_none().then_some(of.tare_s),
             unusable_rows: unusable,
             motion: log,
             object: on_object.clone(),
-            groove_tracking: of.groove_tracking,
+            groove_tracking: found.groove,
             whisker,
         }),
         stream: None,

@@ -17,7 +17,7 @@ use rand_distr::StandardNormal;
 use std::sync::Arc;
 use std::time::Instant;
 use wcal_contact::known_motion::{
-    ContactStream, CorrelatedNoise, Friction, MomentField, MotionRow, Settings,
+    CorrelatedNoise, Friction, MomentField, MotionRow, RecursivePosterior, Segmenter, Settings, Step,
 };
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_rod::Rod;
@@ -84,14 +84,25 @@ fn main() {
             let (mut each_us, mut rows, mut preempted) = (Vec::new(), 0, 0);
             for seed in 0..6 {
                 let press = press(&field, seed, shared);
-                let mut stream = ContactStream::new(Arc::clone(&field), vec![settings, creeping]);
-                for row in &press {
+                let mut segmenter = Segmenter::new(&field);
+                let mut posteriors: Vec<RecursivePosterior> = Vec::new();
+                for row in &mut press.clone() {
                     let before = preemptions();
                     let start = Instant::now();
-                    let found = stream.push(row, 0, None).expect("a sound reading");
+                    let is_loaded = settings.is_loaded(row);
+                    match segmenter.push(row, 0, None, is_loaded) {
+                        Step::Begins(b) => {
+                            let begun =
+                                |s| RecursivePosterior::begin(&field, s, &b).expect("a push across the wire");
+                            posteriors = [settings, creeping].map(begun).into();
+                        }
+                        Step::Within => posteriors.iter_mut().for_each(|p| p.push(&field, row)),
+                        Step::Outside => posteriors.clear(),
+                    }
+                    let places: Vec<_> = posteriors.iter().map(|p| p.place(&field, row)).collect();
                     // Free readings before the contact cost nothing.
                     let us = start.elapsed().as_secs_f64() * 1e6;
-                    match (found.episode.is_some(), preemptions() == before) {
+                    match (!places.is_empty(), preemptions() == before) {
                         (true, true) => each_us.push(us),
                         (true, false) => preempted += 1,
                         _ => {}

@@ -3,9 +3,11 @@
 use crate::ContactError;
 use crate::known_motion::{Friction, MomentField, MotionRow, Settings};
 use crate::reading::{Moments, MotionAccuracy, Reading};
+use crate::regimes::RegimeWeights;
 use crate::sliding::TouchedWire;
 use nalgebra::{Matrix2, Vector3};
 use std::sync::Arc;
+use wcal_core::WireFrame;
 use wcal_core::observation::MomentAxes;
 use wcal_rod::Rod;
 use wcal_trace::whisker::groove_motion::AcceptedWire;
@@ -23,8 +25,18 @@ pub struct CalibratedWire {
     tolerance: Option<f64>,
 }
 
+/// A wire with what is assumed of its contacts.
+pub(crate) struct Assumed {
+    /// Wire.
+    pub wire: CalibratedWire,
+    /// Of a fixed point.
+    pub settings: Settings,
+    /// Of how a contact may move.
+    pub prior: RegimeWeights,
+}
+
 /// The moments of a wire with its accepted mechanics.
-pub fn moment_field(wire: &AcceptedWire, axes: &MomentAxes) -> MomentField {
+fn moment_field(wire: &AcceptedWire, axes: &MomentAxes) -> MomentField {
     let friction = match wire.friction {
         mu if mu > 0.0 => Friction { coefficient: mu, moving_share: wire.moving_share },
         _ => Friction::NONE,
@@ -35,9 +47,22 @@ pub fn moment_field(wire: &AcceptedWire, axes: &MomentAxes) -> MomentField {
 impl CalibratedWire {
     /// With the wire by one standard deviation of each of the readings' first common unknowns; `diameter_mm` is the declared one.
     pub fn new(wire: &AcceptedWire, changed: &[AcceptedWire], diameter_mm: f64) -> Self {
-        let axes = MomentAxes::default();
-        let changed = changed.iter().map(|w| moment_field(w, &axes)).collect();
-        let field = Arc::new(moment_field(wire, &axes).with_changed(changed));
+        let base = (&WireFrame::default(), &MomentAxes::default());
+        Self::of_session((wire, changed), base, diameter_mm)
+    }
+
+    /// The wire of a session in a frame, or, where the rod of an accepted one cannot be turned, by its own axes.
+    pub fn of_session(
+        (wire, changed): (&AcceptedWire, &[AcceptedWire]),
+        (frame, axes): (&WireFrame, &MomentAxes),
+        diameter_mm: f64,
+    ) -> Self {
+        let field =
+            |wire: &AcceptedWire| match wire.rod.turned(&frame.rotation()).filter(|_| !frame.is_base()) {
+                Some(rod) => moment_field(&AcceptedWire { rod, ..wire.clone() }, &MomentAxes::default()),
+                None => moment_field(wire, axes),
+            };
+        let field = Arc::new(field(wire).with_changed(changed.iter().map(field).collect()));
         Self { field, rod: wire.rod.clone(), diameter_mm, tolerance: None }
     }
 
@@ -61,7 +86,12 @@ impl CalibratedWire {
     /// stiffness of another wire, which scales all moments of a held wire.
     pub fn shared_columns(&self, m: &Moments) -> Vec<[f64; 2]> {
         let zero = m.zero_nmm2.cholesky().map_or_else(Matrix2::zeros, |c| c.l());
-        let zero = zero.column_iter().map(|c| [c[0], c[1]]).collect::<Vec<_>>();
+        // A zero that is known is no unknown.
+        let zero = zero
+            .column_iter()
+            .filter(|_| m.zero_nmm2 != Matrix2::zeros())
+            .map(|c| [c[0], c[1]])
+            .collect::<Vec<_>>();
         let stiffness = (self.stiffness_sd() > 0.0).then(|| m.moment_nmm.map(|m| self.stiffness_sd() * m));
         m.shared_nmm.iter().copied().chain(zero).chain(stiffness).collect()
     }
@@ -74,14 +104,14 @@ impl CalibratedWire {
             moment_nmm: m.moment_nmm,
             noise_nmm2: m.own_nmm2.unwrap_or(m.pose_nmm2),
             free_nmm2: m.own_nmm2.map(|own| own + m.zero_nmm2),
-            shared_displacement_mm: Vec::new(),
+            shared_displacement_mm: reading.shared_displacement_mm.clone(),
             shared_nmm: self.shared_columns(m),
             moved_mm: motion.moved_mm,
             turn: motion.turn,
             velocity_mm_s: motion.velocity_mm_s,
             moved_sd_mm: accuracy.moved_sd_mm,
             free: reading.in_prefix,
-            contact_segment: 0,
+            contact_segment: reading.visit,
         })
     }
 

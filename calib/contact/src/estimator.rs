@@ -8,6 +8,7 @@ use crate::regimes::{Alternative, averaged};
 use crate::track_document::EstimatorDocument;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use wcal_core::stream::Flags;
+use wcal_core::verify_document::GrooveTracking;
 use wcal_track::network::Prediction;
 
 /// Where the wire touches something.
@@ -109,8 +110,8 @@ pub struct Findings {
     pub lost: bool,
     /// Contact in a motion of which the estimator knows nothing, or that does not belong to the moments.
     pub doubt: bool,
-    /// Stated regions do not hold a groove that the estimator was compared with.
-    pub coverage_rejected: bool,
+    /// Groove of a session against the answers; none inside where nothing was compared.
+    pub groove: Option<Option<GrooveTracking>>,
     /// First and last reading of each contact, s, where each reading knows what came before it alone.
     pub spans_s: Option<Vec<[f64; 2]>>,
 }

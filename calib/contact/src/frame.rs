@@ -22,7 +22,8 @@ pub fn in_wire_frame(frame: &WireFrame, reading: &Reading) -> Reading {
     // The speed along this frame's +z, where the velocity is known.
     let base_mm_s = velocity_mm_s.map(|v| v.z).or(reading.base_mm_s);
     let moments = reading.moments.as_ref().map(|m| turned(frame, m));
-    Reading { moments, motion, velocity_mm_s, base_mm_s, ..reading.clone() }
+    let shared_displacement_mm = reading.shared_displacement_mm.iter().map(|w| turn * w).collect();
+    Reading { moments, motion, velocity_mm_s, base_mm_s, shared_displacement_mm, ..reading.clone() }
 }
 
 fn turned(frame: &WireFrame, m: &Moments) -> Moments {

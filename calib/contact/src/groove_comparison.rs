@@ -1,7 +1,7 @@
 //! Located places beside a groove that is known: errors, bound, coverage of the regions, and what that makes of a contact's uncertainty.
 
 use crate::arc_posterior::REGION;
-use crate::known_groove::binomial_cdf;
+use crate::known_groove::too_few;
 use std::collections::{BTreeMap, BTreeSet};
 use wcal_core::verify_document::{
     CalibrationContact, ContactComparison, ContactError, ContactUncertainty, GrooveTracking,
@@ -41,10 +41,12 @@ fn lost(compared: &[Compared]) -> usize {
 /// Whether the groove is not where it was said to be: the stated regions hold too few trajectories for an accident, and the error is more than
 /// the bound explains. Of nine trajectories three that miss by hundredths of a millimetre happen where the noise is that small.
 pub fn coverage_rejected(t: &GrooveTracking) -> bool {
-    const LEVEL: f64 = 0.01;
     const MAX_ERROR_OVER_BOUND: f64 = 1.3;
-    binomial_cdf(t.trajectories_held, t.trajectories, REGION) < LEVEL
-        && t.rmse_mm > MAX_ERROR_OVER_BOUND * t.bound_mm
+    too_few(t.trajectories_held, t.trajectories, REGION) && t.rmse_mm > MAX_ERROR_OVER_BOUND * t.bound_mm
+}
+
+fn rms(all: &[Compared], of: fn(&Compared) -> f64) -> f64 {
+    (all.iter().map(|c| of(c).powi(2)).sum::<f64>() / all.len() as f64).sqrt()
 }
 
 /// k of expanded uncertainties.
@@ -58,9 +60,8 @@ fn uncertainty(compared: &[Compared]) -> Vec<ContactUncertainty> {
     }
     // Trajectories are independent, their readings are not: one number a trajectory, root mean square over them.
     let of = |(at, each): (i64, BTreeMap<u32, Compared>)| {
-        let rms = |of: fn(&Compared) -> f64| {
-            (each.values().map(|c| of(c).powi(2)).sum::<f64>() / each.len() as f64).sqrt()
-        };
+        let each: Vec<Compared> = each.into_values().collect();
+        let rms = |of: fn(&Compared) -> f64| rms(&each, of);
         ContactUncertainty {
             arclength_mm: at as f64,
             trajectories: each.len(),
@@ -76,13 +77,12 @@ fn uncertainty(compared: &[Compared]) -> Vec<ContactUncertainty> {
 /// Errors, bound and coverage over readings; none where nothing was compared.
 pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTracking> {
     let n = compared.len() as f64;
-    let rms = |of: fn(&Compared) -> f64| (compared.iter().map(|c| of(c).powi(2)).sum::<f64>() / n).sqrt();
     let trajectories = |of: fn(&Compared) -> bool| {
         compared.iter().filter(|c| of(c)).map(|c| c.trajectory).collect::<BTreeSet<_>>().len()
     };
     (!compared.is_empty()).then(|| GrooveTracking {
-        rmse_mm: rms(|c| c.error_mm),
-        bound_mm: rms(|c| c.bound_mm),
+        rmse_mm: rms(compared, |c| c.error_mm),
+        bound_mm: rms(compared, |c| c.bound_mm),
         coverage95: compared.iter().filter(|c| c.held).count() as f64 / n,
         points: compared.len(),
         trajectories: trajectories(|_| true),
@@ -95,9 +95,6 @@ pub fn groove_tracking(compared: &[Compared], split: &str) -> Option<GrooveTrack
 
 /// The same readings through the declared and through the accepted model; none where either compares nothing.
 pub fn contact_comparison(before: &[Compared], after: &[Compared]) -> Option<ContactComparison> {
-    let rms = |all: &[Compared], of: fn(&Compared) -> f64| {
-        (all.iter().map(|c| of(c).powi(2)).sum::<f64>() / all.len() as f64).sqrt()
-    };
     let error = |all: &[Compared], trajectory: u32| {
         let own: Vec<Compared> = all.iter().filter(|c| c.trajectory == trajectory).copied().collect();
         (!own.is_empty()).then(|| rms(&own, |c| c.error_mm))

@@ -4,6 +4,7 @@
 //! regions, `P(H <= h)` of the binomial distribution with p = 0.9 says whether fewer are an accident.
 
 use crate::estimator::ContactEstimate;
+use crate::mesh_score::Distances;
 use crate::track_document::GrooveScore;
 use nalgebra::{Matrix3, Vector3};
 use std::collections::BTreeMap;
@@ -13,7 +14,7 @@ use wcal_core::observation::WhiskerSpec;
 const MAX_INTERVAL_S: f64 = 0.3;
 /// Squared radius of the 90 % region of three Gaussian numbers (chi-squared, three degrees of freedom).
 const CHI2_90: f64 = 6.251_388_631_170_32;
-/// Stated coverage of the regions, and level of significance of the test against it.
+/// Stated coverage of the regions, and level of significance of a test against one.
 const STATED: f64 = 0.9;
 const LEVEL: f64 = 0.01;
 
@@ -62,8 +63,6 @@ pub struct KnownGroove {
     radius_mm: f64,
     last: Option<Answer>,
     compared: Vec<GrooveError>,
-    /// Their times, s.
-    times_s: Vec<f64>,
     /// Readings at which the tracker sees no contact.
     unseen: usize,
 }
@@ -71,6 +70,7 @@ pub struct KnownGroove {
 /// A place of the groove compared with its answer.
 #[derive(Debug, Clone, Copy)]
 struct GrooveError {
+    t_s: f64,
     /// Distance, mm.
     off_mm: f64,
     /// Whether the place lies in the stated 90 % region; none where the covariance states none.
@@ -78,11 +78,12 @@ struct GrooveError {
 }
 
 impl GrooveError {
-    /// Of the answer less the place, with the answer's covariance.
-    fn new(off_mm: Vector3<f64>, covariance_mm2: &Matrix3<f64>) -> Self {
-        let factor = covariance_mm2.cholesky();
+    /// Of a place and its answer.
+    fn new(place: &KnownPlace, answer: &Answer) -> Self {
+        let off_mm = answer.axis_mm - place.groove_mm;
+        let factor = answer.covariance_mm2.cholesky();
         let in_region90 = factor.map(|c| off_mm.dot(&c.solve(&off_mm)) <= CHI2_90);
-        Self { off_mm: off_mm.norm(), in_region90 }
+        Self { t_s: place.t_s, off_mm: off_mm.norm(), in_region90 }
     }
 }
 
@@ -90,15 +91,7 @@ impl KnownGroove {
     /// For a whisker; none without known places.
     pub fn new(places: Vec<KnownPlace>, whisker: &WhiskerSpec) -> Option<Self> {
         let radius_mm = whisker.diameter_mm / 2.0;
-        let own = Self {
-            places,
-            next: 0,
-            radius_mm,
-            last: None,
-            compared: Vec::new(),
-            times_s: Vec::new(),
-            unseen: 0,
-        };
+        let own = Self { places, next: 0, radius_mm, last: None, compared: Vec::new(), unseen: 0 };
         (!own.places.is_empty()).then_some(own)
     }
 
@@ -119,9 +112,7 @@ impl KnownGroove {
                 None => now,
             };
             if (chosen.t_s - place.t_s).abs() <= MAX_INTERVAL_S {
-                self.compared
-                    .push(GrooveError::new(chosen.axis_mm - place.groove_mm, &chosen.covariance_mm2));
-                self.times_s.push(place.t_s);
+                self.compared.push(GrooveError::new(place, &chosen));
                 self.unseen += usize::from(chosen.contact < 0.5);
             }
             self.next += 1;
@@ -134,20 +125,19 @@ impl KnownGroove {
         if self.compared.is_empty() {
             return None;
         }
-        let mut off_mm: Vec<f64> = self.compared.iter().map(|c| c.off_mm).collect();
-        off_mm.sort_by(f64::total_cmp);
-        let quantile = |share: f64| off_mm[((off_mm.len() - 1) as f64 * share).round() as usize];
+        let Distances { rmse_mm, median_mm, p95_mm, .. } =
+            Distances::new(self.compared.iter().map(|c| c.off_mm).collect());
         // A covariance that is not positive definite states nothing.
         let stated: Vec<bool> = self.compared.iter().filter_map(|c| c.in_region90).collect();
         let held = stated.iter().filter(|held| **held).count();
         Some(GrooveScore {
             readings: self.places.len(),
-            compared: off_mm.len(),
+            compared: self.compared.len(),
             without_contact: self.unseen,
-            rmse_mm: (off_mm.iter().map(|d| d * d).sum::<f64>() / off_mm.len() as f64).sqrt(),
-            median_mm: quantile(0.5),
-            p95_mm: quantile(0.95),
-            largest_mm: quantile(1.0),
+            rmse_mm,
+            median_mm,
+            p95_mm,
+            largest_mm: self.compared.iter().map(|c| c.off_mm).fold(0.0, f64::max),
             coverage90: (!stated.is_empty()).then(|| held as f64 / stated.len() as f64),
         })
     }
@@ -155,16 +145,15 @@ impl KnownGroove {
     /// RMS error at the last compared reading of each contact (first and last time, s), mm: a contact's readings before it knew less. None
     /// where none was compared.
     pub fn end_rmse_mm(&self, contacts_s: &[[f64; 2]]) -> Option<f64> {
-        let within = |[from, to]: &[f64; 2]| self.times_s.iter().rposition(|t| (*from..=*to).contains(t));
-        let last: Vec<f64> =
-            contacts_s.iter().filter_map(within).map(|k| self.compared[k].off_mm.powi(2)).collect();
+        let within = |[from, to]: &[f64; 2]| self.compared.iter().rfind(|c| (*from..=*to).contains(&c.t_s));
+        let last: Vec<f64> = contacts_s.iter().filter_map(within).map(|c| c.off_mm.powi(2)).collect();
         (!last.is_empty()).then(|| (last.iter().sum::<f64>() / last.len() as f64).sqrt())
     }
 
     /// Whether fewer places lie in the stated 90 % regions than chance explains.
     pub fn coverage_rejected(&self) -> bool {
         let within = self.compared.iter().filter(|c| c.in_region90 == Some(true)).count();
-        !self.compared.is_empty() && binomial_cdf(within, self.compared.len(), STATED) < LEVEL
+        too_few(within, self.compared.len(), STATED)
     }
 
     /// The same for people.
@@ -181,6 +170,11 @@ impl KnownGroove {
             s.without_contact
         ))
     }
+}
+
+/// Whether `hits` of `n` are fewer than chance explains where the probability of each is `p`.
+pub(crate) fn too_few(hits: usize, n: usize, p: f64) -> bool {
+    n > 0 && binomial_cdf(hits, n, p) < LEVEL
 }
 
 /// Chance of `hits` or fewer of `n` with probability `p` each (binomial).

@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! source                          estimator                              sink
-//! table_source, session_groove,   known_motion_table, known_motion_stream,  track_table, track_document
-//! stream_source (scans)           session_groove, network, static_arc
+//! table_source, session_groove,   tracker (motion known, or none),       track_table, track_document
+//! stream_source (scans)           network
 //!               Reading  ->  WhiskerTrack { Estimator }  ->  TrackRow, WhiskerDocument, Outcome        one loop: track
 //! ```
 //!
@@ -12,6 +12,7 @@
 pub mod arc;
 pub mod arc_posterior;
 pub mod calibrated_wire;
+mod contact_so_far;
 mod error;
 pub mod estimator;
 pub mod frame;
@@ -19,8 +20,6 @@ pub mod groove_comparison;
 pub mod groove_table;
 pub mod known_groove;
 pub mod known_motion;
-pub mod known_motion_stream;
-pub mod known_motion_table;
 pub mod mesh_score;
 pub mod motion_table;
 pub mod network;
@@ -38,8 +37,10 @@ pub mod table_source;
 pub mod track;
 pub mod track_document;
 pub mod track_table;
+pub mod tracker;
 pub mod trust;
 pub mod whisker_track;
+mod whole_contact;
 pub mod zero;
 
 pub use error::ContactError;

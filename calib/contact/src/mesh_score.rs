@@ -25,7 +25,8 @@ pub struct Distances {
 }
 
 impl Distances {
-    fn new(mut mm: Vec<f64>) -> Self {
+    /// Of distances, mm; not of none.
+    pub(crate) fn new(mut mm: Vec<f64>) -> Self {
         mm.iter_mut().for_each(|d| *d = d.abs());
         mm.sort_by(f64::total_cmp);
         let n = mm.len() as f64;

@@ -9,7 +9,7 @@
 //! draw for readings of one pose; R: the reading's own noise, where it is known. B - R is the law's misfit: no noise of a reading, but an error
 //! that readings of like moments share.
 
-use crate::known_motion::MotionUnknown;
+use crate::known_motion::{Motion, MotionUnknown};
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use wcal_core::stream::{Flags, StreamMoments};
 use wcal_track::stream::BasePose;
@@ -18,7 +18,7 @@ use wcal_track::stream::BasePose;
 pub(crate) const PERCENT: f64 = 1.01;
 
 /// Moments of a reading with the parts of their uncertainty.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Moments {
     /// Moments, N mm.
     pub moment_nmm: [f64; 2],
@@ -60,6 +60,13 @@ pub struct RowMotion {
     pub push: Option<Vector3<f64>>,
 }
 
+impl From<Motion> for RowMotion {
+    fn from(m: Motion) -> Self {
+        let Motion { turn, moved_mm, velocity_mm_s, piece } = m;
+        Self { moved_mm, turn, velocity_mm_s, piece, push: None }
+    }
+}
+
 /// What is assumed of the motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MotionAccuracy {
@@ -92,6 +99,10 @@ pub struct Reading {
     pub in_prefix: bool,
     /// What happened since the reading before is not known.
     pub gap: bool,
+    /// By how much one standard deviation of each common unknown changes the displacement, base frame, mm; empty where none does.
+    pub shared_displacement_mm: Vec<Vector3<f64>>,
+    /// Counts up where the contact was left, as far as the source knows.
+    pub visit: u32,
 }
 
 impl Reading {
@@ -108,6 +119,8 @@ impl Reading {
             velocity_mm_s: None,
             in_prefix: false,
             gap: false,
+            shared_displacement_mm: Vec::new(),
+            visit: 0,
         }
     }
 }

@@ -75,6 +75,8 @@ pub const ANY_OBJECT: RegimeWeights = RegimeWeights([0.38, 0.32, 0.28, 0.015, 0.
 pub const SWEPT_OBJECT: RegimeWeights = RegimeWeights([0.1, 0.1, 0.78, 0.015, 0.005]);
 /// The same in a groove.
 pub const GROOVE: RegimeWeights = RegimeWeights([0.92, 0.0, 0.05, 0.02, 0.01]);
+/// The same in a groove along the trajectories of a session: a calibration is judged by what it says of that.
+pub const POINT: RegimeWeights = RegimeWeights([1.0, 0.0, 0.0, 0.0, 0.0]);
 
 /// Probabilities of the regimes; they sum to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -393,6 +395,12 @@ pub struct Alternative {
     pub place: EpisodeContact,
     /// Density along the wire.
     pub arc: ArcDensity,
+}
+
+impl From<(f64, (EpisodeContact, ArcDensity))> for Alternative {
+    fn from((weight, (place, arc)): (f64, (EpisodeContact, ArcDensity))) -> Self {
+        Self { weight, place, arc }
+    }
 }
 
 /// What all of them state together; none where no alternative has a place.

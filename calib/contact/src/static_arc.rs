@@ -5,9 +5,7 @@ use crate::arc::{arc_density, static_arc};
 use crate::arc_posterior::ArcDensity;
 use crate::calibrated_wire::CalibratedWire;
 use crate::estimator::{Contact, ContactEstimate};
-use crate::known_motion::MotionUnknown;
 use crate::reading::Moments;
-use std::collections::BTreeMap;
 use wcal_core::stream::Flags;
 use wcal_track::StaticInverse;
 use wcal_track::network::Prediction;
@@ -20,14 +18,12 @@ pub struct StaticArc {
     wire: CalibratedWire,
     /// Made at the first loaded reading.
     inverse: Option<StaticInverse>,
-    /// Loaded readings, by why their motion is not known.
-    lost: BTreeMap<&'static str, u64>,
 }
 
 impl StaticArc {
     /// Of a wire.
     pub fn new(wire: CalibratedWire) -> Self {
-        Self { wire, inverse: None, lost: BTreeMap::new() }
+        Self { wire, inverse: None }
     }
 
     /// What the moments of a loaded reading allow, with standard deviations of these sizes, N mm.
@@ -51,21 +47,15 @@ impl StaticArc {
     ///
     /// # Errors
     /// Where the wire cannot be bent.
-    pub fn estimate_contact(&mut self, m: &Moments, why: MotionUnknown) -> Result<Contact, ContactError> {
+    pub fn estimate_contact(&mut self, m: &Moments) -> Result<Contact, ContactError> {
         // A reading's own noise may be larger than that from pose to pose, which is one of averages.
         let own = m.own_nmm2.map_or(0.0, |n| n.trace());
         let sd_nmm = (m.sd_nmm[0].powi(2) + m.sd_nmm[1].powi(2) + own).sqrt();
         if m.moment_nmm[0].hypot(m.moment_nmm[1]) <= LOADED_SDS * sd_nmm {
             return Ok(Contact::default());
         }
-        *self.lost.entry(why.name()).or_default() += 1;
         let (estimate, arc) = self.allowed(m.moment_nmm, m.sd_nmm)?;
         let (estimate, regions) = (Some(estimate), arc.regions());
         Ok(Contact { estimate, flags: Flags::MOTION_LOST, regions, ..Contact::default() })
-    }
-
-    /// Loaded readings, by why their motion is not known.
-    pub fn lost(&self) -> &BTreeMap<&'static str, u64> {
-        &self.lost
     }
 }

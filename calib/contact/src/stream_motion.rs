@@ -107,9 +107,7 @@ impl StreamMotion {
         middle: &Vector3<f64>,
     ) -> Result<RowMotion, MotionUnknown> {
         if let Some(log) = &self.log {
-            let m = log.averaged(t_s, middle, kernel)?;
-            let (moved_mm, velocity_mm_s) = (m.moved_mm, m.velocity_mm_s);
-            return Ok(RowMotion { moved_mm, turn: m.turn, velocity_mm_s, piece: m.piece, push: None });
+            return Ok(log.averaged(t_s, middle, kernel)?.into());
         }
         let along = |motion: &BaseMotion, sign: f64, push: Option<Vector3<f64>>| {
             let (moved, velocity) = motion.averaged(t_s, kernel).ok_or(MotionUnknown::Outside)?;

@@ -5,16 +5,17 @@ use crate::calibrated_wire::CalibratedWire;
 use crate::estimator::Estimator;
 use crate::known_groove::{KnownGroove, KnownPlace};
 use crate::known_motion::MotionLog;
-use crate::known_motion_stream::KnownMotionStream;
 use crate::reading::{Moments, MotionAccuracy, Reading};
+use crate::regimes::{ANY_OBJECT, GROOVE};
 use crate::stream_motion::{StreamMotion, kernel};
 use crate::track::Input;
 use crate::track_document::{
     FilterDocument, StreamDocument, StreamMotionDocument, StreamedWhisker, TimeDocument,
 };
+use crate::tracker::ContactTracker;
 use crate::trust::WhiskerModel;
 use crate::whisker_track::{Outcome, WhiskerFacts, WhiskerTrack};
-use nalgebra::{Matrix2, Vector3};
+use nalgebra::Vector3;
 use std::time::{Duration, Instant};
 use wcal_acquisition::clock_watch::{ClockFault, ClockWatch};
 use wcal_acquisition::clocks::ClockPair;
@@ -330,7 +331,8 @@ impl<'a> Whisker<'a> {
                     // The prefix is long enough; a reading that comes sooner solves what it needs itself.
                     let filled = wire.clone();
                     std::thread::spawn(move || filled.field.fill(REACH_MM));
-                    let own = KnownMotionStream::new(wire, stream.accuracy, of_groove);
+                    let touched = if of_groove { GROOVE } else { ANY_OBJECT };
+                    let own = ContactTracker::of_stream(wire, stream.accuracy, touched);
                     (Box::new(own), middle_mm, accepted.offset_mm)
                 }
             };
@@ -364,22 +366,19 @@ impl<'a> Whisker<'a> {
             valid: m.valid,
             pose_nmm2: noise_nmm2,
             own_nmm2: self.chain.row_noise_nmm2(),
-            drift_nmm2: Matrix2::zeros(),
-            zero_nmm2: Matrix2::zeros(),
             shared_nmm,
+            ..Moments::default()
         });
         Reading {
-            point: i64::try_from(row.serial).unwrap_or(i64::MAX),
-            t_s: row.t_s,
             flags: row.flags,
             // What happened in between is not known.
             gap: moments.is_none(),
-            moments,
             motion: motion.relative(row.t_s, &self.kernel, &self.middle_mm),
             base: known.base,
             base_mm_s: known.base_mm_s,
             velocity_mm_s: known.velocity_mm_s,
             in_prefix: self.chain.prefix().block_nmm2().is_none() && row.t_s < self.prefix_s,
+            ..Reading::alone(i64::try_from(row.serial).unwrap_or(i64::MAX), row.t_s, moments)
         }
     }
 

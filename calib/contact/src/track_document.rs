@@ -1,7 +1,6 @@
 //! `track.json`: what a track is made of and what was found, as a program reads it.
 
 use crate::arc_posterior::Region;
-use crate::known_motion::contact_stream::FinishedEpisode;
 use crate::known_motion::{EpisodeEstimate, Innovations, Posterior};
 use crate::mesh_score::MeshScore;
 use crate::regimes::{MIN_WEIGHT, REGIMES, Regime, RegimeWeights};
@@ -253,13 +252,9 @@ impl ContactDocument {
     }
 
     /// Of a stream's contact.
-    pub fn of_stream(e: &FinishedEpisode) -> Self {
-        Self {
-            regions: Some(e.regions.clone()),
-            from_s: Some(e.span_s[0]),
-            to_s: Some(e.span_s[1]),
-            ..Self::new(&e.innovations, e.readings)
-        }
+    pub fn of_stream(i: &Innovations, regions: Vec<Region>, [from_s, to_s]: [f64; 2]) -> Self {
+        let (from_s, to_s) = (Some(from_s), Some(to_s));
+        Self { regions: Some(regions), from_s, to_s, ..Self::new(i, i.rows) }
     }
 }
 

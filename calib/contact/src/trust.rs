@@ -2,6 +2,7 @@
 
 use crate::ContactError;
 use crate::network::NetworkEstimator;
+use crate::zero::{WHITE, ZERO};
 use std::path::{Path, PathBuf};
 use wcal_calibration::{
     CalibrationModel, TrustIssue, WhiskerCalibration, of_whisker, read_unsealed, standing,
@@ -50,11 +51,6 @@ pub struct WhiskerModel<'a> {
     /// What speaks against them.
     pub doubts: TrustIssues,
 }
-
-/// Share of the noise from pose to pose that is white from one averaged reading to the next; the rest is slow. An assumption.
-const WHITE: f64 = 0.2;
-/// Share by which the zero may be off in a recording. An assumption too.
-const ZERO: f64 = 0.5;
 
 /// Filters that know the noise of the moments that come through a calibration.
 pub fn filters_for(filters: FilterBank, model: &CalibrationModel) -> FilterBank {

@@ -7,6 +7,7 @@
 use crate::ContactError;
 use crate::estimator::{Contact, Estimator};
 use crate::frame::{in_base_frame, in_wire_frame};
+use crate::groove_comparison::coverage_rejected;
 use crate::known_groove::KnownGroove;
 use crate::mesh_score::{KnownObject, MeshScore};
 use crate::reading::{Moments, Reading};
@@ -16,6 +17,7 @@ use crate::zero::Zero;
 use std::collections::VecDeque;
 use wcal_core::WireFrame;
 use wcal_core::stream::StreamMoments;
+use wcal_core::verify_document::GrooveTracking;
 use wcal_track::segments::SegmentFinder;
 
 /// What stands beside the rows of a whisker.
@@ -195,11 +197,12 @@ impl<'a> WhiskerTrack<'a> {
             messages,
             outcome: Outcome {
                 outside: self.outside > 0,
-                coverage_rejected: found.coverage_rejected
+                coverage_rejected: found.groove.iter().flatten().any(coverage_rejected)
                     || groove.is_some_and(KnownGroove::coverage_rejected),
                 lost: found.lost,
                 doubt: found.doubt,
             },
+            groove: found.groove,
         }
     }
 }
@@ -213,6 +216,8 @@ pub struct TrackFindings {
     pub messages: Vec<String>,
     /// For the exit code.
     pub outcome: Outcome,
+    /// Groove of a session against the answers; none inside where nothing was compared.
+    pub groove: Option<Option<GrooveTracking>>,
 }
 
 /// What speaks against the rows that were written.

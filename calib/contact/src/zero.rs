@@ -10,9 +10,12 @@
 
 use crate::reading::{Moments, Reading};
 use nalgebra::{Matrix2, Vector2};
+use wcal_core::order_statistics::median;
 
 /// Share of the noise from pose to pose by which the calibration's zero may be off in another record. An assumption.
-const ZERO: f64 = 0.5;
+pub(crate) const ZERO: f64 = 0.5;
+/// Share of it that is white from one averaged reading to the next, and a row's own where no prefix was measured; the rest is slow. An assumption.
+pub(crate) const WHITE: f64 = 0.2;
 /// Fewer free readings are no zero, and say nothing of the noise.
 const MIN_FREE: usize = 5;
 /// A reading that is this many standard deviations of the free ones' noise off is no longer free.
@@ -99,12 +102,8 @@ pub(crate) fn steady(moments_nmm: &[Vector2<f64>], noise_nmm: f64) -> Option<Ste
     bends.sort_by(f64::total_cmp);
     let quiet = (bends[bends.len() / 4] / CHI2_QUARTER).sqrt();
     let limit_nmm = FREE_SDS * quiet.max(noise_nmm).max(MIN_NOISE_NMM);
-    let middle = |c: usize| {
-        let mut first: Vec<f64> = moments_nmm[..MIN_FREE].iter().map(|m| m[c]).collect();
-        first.sort_by(f64::total_cmp);
-        first[MIN_FREE / 2]
-    };
-    let middle = Vector2::new(middle(0), middle(1));
+    let middle = |c: usize| median(moments_nmm[..MIN_FREE].iter().map(|m| m[c]));
+    let middle = Vector2::new(middle(0)?, middle(1)?);
     let count = moments_nmm.iter().take_while(|m| (*m - middle).norm() <= limit_nmm).count();
     (count >= MIN_FREE).then_some(Steady { count, limit_nmm })
 }

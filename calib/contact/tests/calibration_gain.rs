@@ -16,8 +16,9 @@ use rand_distr::StandardNormal;
 use rayon::prelude::*;
 use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::Estimator;
-use wcal_contact::known_motion_table::KnownMotionTable;
 use wcal_contact::reading::{Moments, MotionAccuracy, Reading, RowMotion};
+use wcal_contact::regimes::ANY_OBJECT;
+use wcal_contact::tracker::ContactTracker;
 use wcal_core::observation::WhiskerSpec;
 use wcal_plant::sweep::SweepCase;
 
@@ -167,7 +168,7 @@ fn records(family: Family) -> Vec<Record> {
 }
 
 fn tracked(record: &Record, gain: f64) -> Stated {
-    let mut table = KnownMotionTable::new(record.wire.clone(), ACCURACY, false).unwrap();
+    let mut table = ContactTracker::of_record(record.wire.clone(), ACCURACY, ANY_OBJECT);
     with_gain(record, gain).iter().for_each(|r| assert!(table.push(r).unwrap().is_empty()));
     let found = table.finish().unwrap();
     let findings = table.findings();

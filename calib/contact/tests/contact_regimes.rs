@@ -17,8 +17,9 @@ use rayon::prelude::*;
 use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::{Contact, Estimator};
 use wcal_contact::known_motion::MomentField;
-use wcal_contact::known_motion_table::KnownMotionTable;
 use wcal_contact::reading::{MotionAccuracy, Reading, RowMotion};
+use wcal_contact::regimes::ANY_OBJECT;
+use wcal_contact::tracker::ContactTracker;
 use wcal_core::observation::WhiskerSpec;
 use wcal_plant::sweep::SweepCase;
 
@@ -113,7 +114,7 @@ struct Stated {
 
 fn tracked(wire: CalibratedWire, record: &[Known], family: Family) -> Stated {
     let accuracy = MotionAccuracy { moved_sd_mm: MOVED_SD_MM, clock_sd_s: 0.0 };
-    let mut table = KnownMotionTable::new(wire, accuracy, false).unwrap();
+    let mut table = ContactTracker::of_record(wire, accuracy, ANY_OBJECT);
     record.iter().for_each(|k| assert!(table.push(&k.reading).unwrap().is_empty()));
     let found = table.finish().unwrap();
     let one = |(contact, known): (&Contact, &Known)| {

@@ -7,10 +7,10 @@ use rand_chacha::ChaCha8Rng;
 use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::Estimator;
 use wcal_contact::known_motion::{Friction, MomentField, MotionUnknown};
-use wcal_contact::known_motion_stream::KnownMotionStream;
-use wcal_contact::known_motion_table::KnownMotionTable;
 use wcal_contact::reading::{Moments, MotionAccuracy, Reading, RowMotion};
+use wcal_contact::regimes::ANY_OBJECT;
 use wcal_contact::track_table::TrackRow;
+use wcal_contact::tracker::ContactTracker;
 use wcal_contact::whisker_track::{WhiskerFacts, WhiskerTrack};
 use wcal_core::observation::{MomentAxes, RestShape, WhiskerSpec};
 use wcal_core::wire_frame::WireFrame;
@@ -88,8 +88,8 @@ impl Session {
         let whisker = frame.whisker(&self.whisker);
         let wire = CalibratedWire::of_rod(Rod::new(&whisker, 0.5).unwrap(), whisker.diameter_mm);
         let estimator: Box<dyn Estimator> = match which {
-            0 => Box::new(KnownMotionTable::new(wire, ACCURACY, false).unwrap()),
-            _ => Box::new(KnownMotionStream::new(wire, ACCURACY, false)),
+            0 => Box::new(ContactTracker::of_record(wire, ACCURACY, ANY_OBJECT)),
+            _ => Box::new(ContactTracker::of_stream(wire, ACCURACY, ANY_OBJECT)),
         };
         let mut track = WhiskerTrack::new(WhiskerFacts::default(), (frame, estimator), 0.0, true);
         let mut rows = Vec::new();

@@ -6,11 +6,10 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
-use std::sync::Arc;
 use wcal_contact::known_motion::contact_path::State;
-use wcal_contact::known_motion::contact_stream::FinishedEpisode;
 use wcal_contact::known_motion::{
-    ContactStream, CorrelatedNoise, Friction, MomentField, MotionRow, RecursivePosterior, Settings,
+    CorrelatedNoise, Friction, Innovations, MomentField, MotionRow, RecursivePosterior, Segmenter, Settings,
+    Step,
 };
 use wcal_core::observation::{MomentAxes, WhiskerSpec};
 use wcal_rod::Rod;
@@ -180,40 +179,42 @@ fn regions_hold_the_truth_all_along() {
     assert!(last.2 < 0.6, "{wrong:?}");
 }
 
-/// All episodes of rows pushed through a stream.
-fn streamed(
-    stream: &mut ContactStream,
-    press: &Press,
-    factor: f64,
-    push: Option<Vector3<f64>>,
-) -> (Vec<FinishedEpisode>, usize) {
-    let mut disagreeing = 0;
+/// Innovations of all contacts of rows as a stream takes them, and the readings at which motion and moments disagree.
+fn streamed(wire: &MomentField, press: &Press, factor: f64) -> (Vec<Innovations>, usize) {
+    let (settings, mut segmenter) = (settings(None), Segmenter::new(wire));
+    let mut posterior: Option<RecursivePosterior> = None;
+    let (mut contacts, mut disagreeing) = (Vec::new(), 0);
     for row in &press.rows {
-        let row = MotionRow {
-            moved_mm: row.moved_mm * factor,
-            velocity_mm_s: row.velocity_mm_s * factor,
-            ..row.clone()
-        };
-        disagreeing += usize::from(stream.push(&row, 0, push).unwrap().disagrees);
+        let (moved_mm, velocity_mm_s) = (row.moved_mm * factor, row.velocity_mm_s * factor);
+        let mut row = MotionRow { moved_mm, velocity_mm_s, ..row.clone() };
+        let is_loaded = settings.is_loaded(&row);
+        match segmenter.push(&mut row, 0, None, is_loaded) {
+            Step::Begins(b) => posterior = RecursivePosterior::begin(wire, settings, &b),
+            Step::Within => posterior.iter_mut().for_each(|p| p.push(wire, &row)),
+            Step::Outside => {}
+        }
+        contacts.extend(segmenter.take_ended().and_then(|_| Some(posterior.take()?.innovations())));
+        disagreeing += usize::from(posterior.as_ref().is_some_and(|p| !p.innovations().consistent()));
     }
-    (stream.finish().to_vec(), disagreeing)
+    segmenter.interrupt();
+    contacts.extend(segmenter.take_ended().and_then(|_| Some(posterior.take()?.innovations())));
+    (contacts, disagreeing)
 }
 
 #[test]
 fn a_stream_finds_its_episodes_and_doubts_a_reversed_motion() {
-    let wire = Arc::new(field(Friction::NONE));
+    let wire = field(Friction::NONE);
     let (mut named, mut doubted, mut plain, mut all) = (0, 0, 0, 0);
     for seed in 0..12 {
-        let stream = || ContactStream::new(Arc::clone(&wire), vec![settings(None)]);
         let Some(press) = press(&wire, seed, ALL) else { continue };
         all += 1;
-        let (episodes, off) = streamed(&mut stream(), &press, 1.0, None);
-        assert_eq!(episodes.len(), 1, "{seed}: {episodes:?}");
-        plain += usize::from(off == 0 && episodes[0].innovations.consistent());
+        let (contacts, off) = streamed(&wire, &press, 1.0);
+        assert_eq!(contacts.len(), 1, "{seed}: {contacts:?}");
+        plain += usize::from(off == 0 && contacts[0].consistent());
         // Control: the object goes the other way.
-        let (episodes, off) = streamed(&mut stream(), &press, -1.0, None);
+        let (contacts, off) = streamed(&wire, &press, -1.0);
         doubted += usize::from(off > 5);
-        named += usize::from(episodes.iter().any(|e| !e.innovations.consistent()));
+        named += usize::from(contacts.iter().any(|i| !i.consistent()));
     }
     println!("{all} presses: {plain} agree, reversed {doubted} doubted on the way, {named} named");
     assert!(

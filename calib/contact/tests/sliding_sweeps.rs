@@ -9,9 +9,10 @@ use rayon::prelude::*;
 use std::sync::LazyLock;
 use wcal_contact::estimator::{Contact, Estimator};
 use wcal_contact::known_motion::MotionRow;
-use wcal_contact::known_motion_stream::KnownMotionStream;
 use wcal_contact::reading::{MotionAccuracy, Reading};
+use wcal_contact::regimes::ANY_OBJECT;
 use wcal_contact::sliding::{SlidingContact, TouchedWire, locate_sliding};
+use wcal_contact::tracker::ContactTracker;
 use wcal_core::stream::Flags;
 use wcal_plant::sweep::{SweepCase, SweepReading};
 
@@ -147,7 +148,8 @@ fn a_stream_follows_a_contact_that_slides() {
     // Errors of the readings of a sweep that are followed as sliding, along the motion times a factor.
     let slid = |case: &SweepCase, way: f64| {
         let stream = {
-            let mut stream = KnownMotionStream::new(calibrated(&whisker(case), MESH_MM), ACCURACY, false);
+            let wire = calibrated(&whisker(case), MESH_MM);
+            let mut stream = ContactTracker::of_stream(wire, ACCURACY, ANY_OBJECT);
             let push = |r: Reading| stream.push(&r).unwrap().remove(0);
             readings(case, way).into_iter().map(push).collect::<Vec<Contact>>()
         };

@@ -140,8 +140,8 @@ impl CorrelatedNoise {
     }
 }
 
-/// Where the wire is held at one reading.
-#[derive(Debug, Clone, PartialEq)]
+/// Where the wire is held at one reading; by default nowhere.
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct EpisodeContact {
     /// Mean place of the wire's axis at the contact, mm; none where the episode has no usable contact.
     pub place_mm: Option<Vector3<f64>>,

@@ -38,29 +38,26 @@
 pub mod bound;
 pub mod check;
 pub mod contact_path;
-pub mod contact_stream;
 pub mod episode;
-pub mod episodes;
 pub mod field;
 mod interpolation;
 pub mod motion_log;
 pub mod posterior;
 pub mod recursive;
+pub mod segmenter;
 
 pub use bound::bound_mm;
 pub use check::Innovations;
-pub use contact_stream::{ContactStream, StreamedContact};
 pub use episode::{CorrelatedNoise, Episode, EpisodeContact, MotionRow, Settings};
 pub(crate) use episode::{TABLE_MM, TABLE_SHARE, check_row, check_rows};
-pub use episodes::episodes;
 pub use field::{Friction, MomentField};
 pub use motion_log::{LogRow, Motion, MotionLog, MotionUnknown};
 pub use posterior::Posterior;
 pub use recursive::RecursivePosterior;
+pub use segmenter::{Segmenter, Step};
 
 use crate::ContactError;
 use contact_path::{ContactPath, loaded};
-use nalgebra::Matrix3;
 
 /// Result of an episode.
 #[derive(Debug, Clone)]
@@ -141,18 +138,11 @@ impl EpisodeEstimate {
     }
 
     fn nothing(episode: &Episode) -> Self {
-        let place =
-            EpisodeContact { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, outlier: false };
+        let rows = episode.rows.len();
         Self {
-            places: vec![place; episode.rows.len()],
+            places: vec![EpisodeContact::default(); rows],
             posterior: None,
-            innovations: Innovations {
-                plain: 0.0,
-                robust: 0.0,
-                dof: 0.0,
-                outlier: 0,
-                rows: episode.rows.len(),
-            },
+            innovations: Innovations { rows, ..Innovations::default() },
         }
     }
 }

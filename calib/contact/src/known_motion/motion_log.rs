@@ -11,6 +11,7 @@
 
 use crate::ContactError;
 use nalgebra::{Rotation3, Vector3};
+use wcal_core::order_statistics::median;
 
 /// Longest interval between rows over which the motion is interpolated: this many times the log's median step, at least this many s.
 const GAP_STEPS: f64 = 5.0;
@@ -108,13 +109,10 @@ impl MotionLog {
             return Err(ContactError::value(what, expected, w[1].t_s.to_string()));
         }
         let speeds = |w: &[LogRow]| step_mm(&w[0], &w[1]) / (w[1].t_s - w[0].t_s);
-        let mut moving: Vec<f64> =
-            rows.windows(2).filter(|w| step_mm(&w[0], &w[1]) > STILL_MM).map(speeds).collect();
-        moving.sort_by(f64::total_cmp);
-        let median_mm_s = moving.get(moving.len() / 2).copied().unwrap_or(0.0);
-        let mut steps: Vec<f64> = rows.windows(2).map(|w| w[1].t_s - w[0].t_s).collect();
-        steps.sort_by(f64::total_cmp);
-        let max_gap_s = (GAP_STEPS * steps[steps.len() / 2]).max(GAP_S);
+        let moving = rows.windows(2).filter(|w| step_mm(&w[0], &w[1]) > STILL_MM).map(speeds);
+        let median_mm_s = median(moving).unwrap_or(0.0);
+        let step_s = median(rows.windows(2).map(|w| w[1].t_s - w[0].t_s)).unwrap_or(0.0);
+        let max_gap_s = (GAP_STEPS * step_s).max(GAP_S);
         let mut pieces = vec![0];
         for w in rows.windows(2) {
             let jumped = step_mm(&w[0], &w[1]) > JUMP_MM && speeds(w) > JUMP_RATIO * median_mm_s;

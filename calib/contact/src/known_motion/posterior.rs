@@ -145,12 +145,7 @@ impl Posterior {
             total += n.mass;
         }
         if total <= 0.0 {
-            return EpisodeContact {
-                place_mm: None,
-                covariance_mm2: Matrix3::zeros(),
-                contact: 0.0,
-                outlier: false,
-            };
+            return EpisodeContact::default();
         }
         let mean = mean / total;
         let motion = Matrix3::identity() * path.rows[row].moved_sd_mm.powi(2);

@@ -33,13 +33,15 @@ mod node;
 
 use super::contact_path::{BEFORE_MM, ContactPath, creep_mm, loaded};
 use super::episode::CorrelatedNoise;
-use super::episodes::LEAD;
 use super::posterior;
+use super::segmenter::Beginning;
 use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings, TABLE_MM};
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use node::{NodeFilter, Reading};
 use std::borrow::Cow;
 
+/// Free readings before a contact that belong to it: they bound its onset.
+pub(crate) const LEAD: usize = 25;
 /// First grid along the wire, mm.
 const SCAN_MM: f64 = 1.0;
 /// Largest number of nodes: what bounds the time of a reading.
@@ -57,7 +59,7 @@ const MAX_STEP_LN: f64 = 1.0;
 
 impl Settings {
     /// Whether a reading is loaded beyond its noise, the pose's included.
-    pub(crate) fn is_loaded(&self, row: &MotionRow) -> bool {
+    pub fn is_loaded(&self, row: &MotionRow) -> bool {
         let Some(CorrelatedNoise::ByPose { covariance_nmm2, .. }) = self.correlated else {
             return loaded(row);
         };
@@ -125,6 +127,15 @@ pub(super) fn run(
 }
 
 impl RecursivePosterior {
+    /// With the readings by which a contact has become known; see [`Self::start`].
+    pub fn begin(field: &MomentField, settings: Settings, beginning: &Beginning) -> Option<Self> {
+        let Beginning { push, lead, rows } = beginning;
+        let (first, others) = rows.split_first()?;
+        let mut own = Self::start(field, settings, *push, lead, first)?;
+        others.iter().for_each(|row| own.push(field, row));
+        Some(own)
+    }
+
     /// From the first loaded reading and the free ones before it (`lead`, in order of time); none where the push runs along the whole wire.
     pub fn start(
         field: &MomentField,
@@ -149,7 +160,8 @@ impl RecursivePosterior {
         };
         let first = &*own.with_creep(field, first);
         let lead: Vec<Cow<'_, MotionRow>> = lead.iter().map(|row| own.with_creep(field, row)).collect();
-        let lowest = lead.iter().map(|row| own.along_mm(field, row)).fold(0.0, f64::min);
+        let along_mm = |row: &MotionRow| (middle(field, &motion_since(first, row)) - middle_mm).dot(&push);
+        let lowest = lead.iter().map(|row| along_mm(row)).fold(0.0, f64::min);
         let at_first = own.reading(field, first, 0.0, 0.0);
         let length = field.length_mm() - settings.first_mm;
         let count = (length / SCAN_MM).ceil().max(1.0) as usize;
@@ -297,17 +309,6 @@ impl RecursivePosterior {
             true => f64::NEG_INFINITY,
             false => self.taken_ln + (mass / (field.length_mm() - self.settings.first_mm)).ln(),
         }
-    }
-
-    /// Unit vector of the push.
-    pub fn push_direction(&self) -> Vector3<f64> {
-        self.push
-    }
-
-    /// Displacement of a reading from the first loaded one along the push, mm; under rotation that of the wire's middle.
-    pub fn along_mm(&self, field: &MomentField, row: &MotionRow) -> f64 {
-        let here = middle(field, &motion_since(&self.reference, row));
-        (here - field.free(0.5 * field.length_mm()).0).dot(&self.push)
     }
 
     fn best(&self) -> Option<&NodeFilter> {

@@ -3,6 +3,7 @@
 
 use super::*;
 use crate::arc_posterior::REGION;
+use crate::groove_comparison::coverage_rejected;
 use crate::known_groove::binomial_cdf;
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
@@ -50,8 +51,7 @@ fn tracked(
     let mut motion = model.groove_motion(whole).unwrap();
     change(&mut motion);
     let [sealed, _] = whole.held_out();
-    let found = track(whole, motion, |i| sealed[i]).unwrap();
-    let mut compared = found.compared(whole, |i| whole.row(i).groove_mm).unwrap();
+    let mut compared = compared(whole, motion, |i| sealed[i], |i| whole.row(i).groove_mm).unwrap();
     compared.dedup_by_key(|c| c.trajectory);
     compared
 }

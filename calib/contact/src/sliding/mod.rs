@@ -138,7 +138,7 @@ impl SlidingContact {
     /// One that is nowhere.
     pub(crate) fn nothing(readings: usize) -> Self {
         Self {
-            places: vec![free(); readings],
+            places: vec![EpisodeContact::default(); readings],
             arcs: vec![ArcDensity::default(); readings],
             means: Means::default(),
             ln_evidence: [f64::NEG_INFINITY; 2],
@@ -169,10 +169,6 @@ fn turns_back(rows: &[MotionRow]) -> bool {
         reached = reached.max(way);
         way < reached - TURNED_MM
     })
-}
-
-fn free() -> EpisodeContact {
-    EpisodeContact { place_mm: None, covariance_mm2: Matrix3::zeros(), contact: 0.0, outlier: false }
 }
 
 /// A hypothesis: a smoothed path under a coefficient of friction, its ln p(m), what of its sum of squares is of the surface, and its posterior.
@@ -382,7 +378,7 @@ fn between(blocks: &[BlockPosterior], k: usize, share: f64) -> BlockPosterior {
 fn place(each: &[(f64, BlockPosterior)], row: &MotionRow, lost_mm2: f64) -> EpisodeContact {
     let Some((mean, covariance)) = mixed_place(each.iter().map(|(w, b)| (*w, b.axis_mm, b.covariance_mm2)))
     else {
-        return free();
+        return EpisodeContact::default();
     };
     // Independent of the hypotheses: what the model leaves out, and a uniform share of the wire (variance L^2 / 12).
     let covariance = covariance + Matrix3::identity() * (MODEL_SD_MM * MODEL_SD_MM + lost_mm2);

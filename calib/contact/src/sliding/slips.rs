@@ -8,6 +8,7 @@
 
 use crate::known_motion::MotionRow;
 use std::ops::Range;
+use wcal_core::order_statistics::median;
 
 /// Steps around a slip that it is held against.
 const AROUND: usize = 6;
@@ -25,9 +26,8 @@ pub(super) fn parts(rows: &[MotionRow], leap: f64) -> Vec<Range<usize>> {
         // A slip to the side leaps in one moment alone.
         (0..2).any(|c| {
             // The median of the steps around is no leap, even beside one.
-            let mut around: Vec<f64> = (from..to).filter(|j| *j != k).map(|j| step(j, c)).collect();
-            around.sort_by(f64::total_cmp);
-            step(k, c) > leap * (around[around.len() / 2] + noise)
+            let around = (from..to).filter(|j| *j != k).map(|j| step(j, c));
+            step(k, c) > leap * (median(around).unwrap_or(f64::INFINITY) + noise)
         })
     };
     let inner = FROM_ENDS..rows.len().saturating_sub(FROM_ENDS).max(FROM_ENDS);

@@ -7,6 +7,7 @@ use crate::reading::PERCENT;
 use nalgebra::{DVector, Matrix3, SMatrix, Vector3};
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
+use wcal_core::order_statistics::median;
 
 /// Iterations of a descent, and the improvement at which it ends.
 const MAX_STEPS: usize = 30;
@@ -170,7 +171,5 @@ pub(super) fn mm_by_gain(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
     let moved = there.step(&factored).0 - here.step(&factored).0;
     let of =
         |(k, x): (usize, &State)| (axis_by_state(&chain, x).1 * moved.fixed_rows::<STATE>(STATE * k)).norm();
-    let mut all: Vec<f64> = found.x.iter().enumerate().map(of).collect();
-    all.sort_by(f64::total_cmp);
-    all.get(all.len() / 2).copied()
+    median(found.x.iter().enumerate().map(of))
 }

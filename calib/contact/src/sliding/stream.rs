@@ -8,7 +8,7 @@
 //!
 //! A reading within a block that is not complete goes on from the last two. What comes later mends a contact's beginning; a filter cannot.
 
-use super::blocks::Blocks;
+use super::blocks::Means;
 use super::first_path::{candidates, first_paths};
 use super::smooth::{BlockPosterior, Smoothed, descend, smooth};
 use super::{Chain, Ends, Hypothesis, TouchedWire};
@@ -31,7 +31,6 @@ const GOING_ON: Ends = Ends { from_free: true, slips_off: false };
 /// Follows a contact from its first loaded reading on.
 pub struct SlidingStream {
     wire: TouchedWire,
-    blocks: Blocks,
     /// Blocks that the paths go through.
     solved: usize,
     search_at: usize,
@@ -39,23 +38,21 @@ pub struct SlidingStream {
 }
 
 impl SlidingStream {
-    /// With the readings so far.
-    pub fn new(wire: TouchedWire, rows: &[MotionRow]) -> Self {
-        let mut blocks = Blocks::default();
-        rows.iter().for_each(|row| _ = blocks.push(row));
-        Self { wire, blocks, solved: 0, search_at: FIRST_SEARCH, paths: Vec::new() }
+    /// Before any reading.
+    pub fn new(wire: TouchedWire) -> Self {
+        Self { wire, solved: 0, search_at: FIRST_SEARCH, paths: Vec::new() }
     }
 
-    /// Takes a loaded reading; its contact, and the density along the wire, where some path explains the readings so far.
-    pub fn push(&mut self, row: &MotionRow) -> Option<(EpisodeContact, ArcDensity)> {
-        if self.blocks.means.len() > MAX_BLOCKS {
+    /// Takes a loaded reading that is the last one in the blocks of its contact; its place, and the density along the wire, where some path
+    /// explains the readings so far.
+    pub fn push(&mut self, row: &MotionRow, means: &Means) -> Option<(EpisodeContact, ArcDensity)> {
+        if means.len() > MAX_BLOCKS {
             return None;
         }
-        self.blocks.push(row);
-        if self.blocks.means.len() > self.solved && self.blocks.means.len() >= FIRST_SEARCH {
-            self.follow();
+        if means.len() > self.solved && means.len() >= FIRST_SEARCH {
+            self.follow(means);
         }
-        let [.., a, b] = &self.blocks.means.rows[..self.solved] else { return None };
+        let [.., a, b] = &means.rows[..self.solved] else { return None };
         // As far as the object has gone on since.
         let step = b.moved_mm - a.moved_mm;
         // Projection on the last step of the motion.
@@ -72,17 +69,17 @@ impl SlidingStream {
         Some((place(&each, row, lost), arc(&each, self.wire.length_mm, LOST)))
     }
 
-    /// ln p(m) of the blocks so far, and how many they are; none before a path explains them.
-    pub fn ln_evidence(&self) -> Option<(f64, usize)> {
-        let best = self.paths.iter().map(|p| p.ln_evidence).fold(f64::NEG_INFINITY, f64::max);
-        best.is_finite().then_some((best, self.solved))
+    /// ln p(m) of so many blocks; negative infinity where no path explains them.
+    pub fn ln_evidence(&self, blocks: usize) -> f64 {
+        let own = self.paths.iter().filter(|_| self.solved == blocks);
+        own.map(|p| p.ln_evidence).fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// Draws the paths on to the newest block.
-    fn follow(&mut self) {
-        let blocks = self.blocks.means.len();
+    fn follow(&mut self, means: &Means) {
+        let blocks = means.len();
         let searched = blocks >= self.search_at;
-        let chain = Chain::new(&self.wire, &self.blocks.means.rows, GOING_ON);
+        let chain = Chain::new(&self.wire, &means.rows, GOING_ON);
         let found: Vec<(f64, Smoothed)> = if searched || self.paths.is_empty() {
             search(&chain)
         } else {

@@ -24,9 +24,7 @@ pub(crate) fn read_rows(
     let known = [&["t_s", "direction", "temperature_degc"][..], &group].concat();
     warnings.extend(unknown_columns(name, table.others(&required, &known)?));
     let mut points = PointNumbers::default();
-    for row in Row::all(&table) {
-        points.note(&row, row.point()?)?;
-    }
+    Row::all(&table).try_for_each(|row| points.note(&row, row.point()?))?;
     let mut out = vec![false; table.rows.len()];
     let set: Vec<[f64; 2]> = Row::all(&table)
         .map(|row| Ok([row.required("commanded_mm")?, row.required("measured_mm")?]))

@@ -45,9 +45,7 @@ pub(crate) fn read_rows(
         without.iter().map(|column| format!("column {} holds no numbers and is not used", brief(column)));
     warnings.extend(without.map(|text| SessionWarning::other(name, text)));
     let mut points = PointNumbers::default();
-    for row in Row::all(&table) {
-        points.note(&row, row.point()?)?;
-    }
+    Row::all(&table).try_for_each(|row| points.note(&row, row.point()?))?;
     let mut out = vec![false; table.rows.len()];
     let read: Vec<&str> =
         ["response", "temperature_degc"].into_iter().chain(covariates.iter().map(String::as_str)).collect();

@@ -74,10 +74,15 @@ pub fn assess<M: SessionModel>(
     Ok(Assessment { whole, before, after, errors, flagged, holdout, residuals })
 }
 
-/// Errors of the sealed readings that count.
-fn scored<M: SessionModel>(whole: &M, predictions: &M::Predictions, left_out: &[usize]) -> Vec<HeldOut> {
+/// Sealed readings that count, without `left_out`.
+fn scored_rows<M: SessionModel>(whole: &M, left_out: &[usize]) -> Vec<usize> {
     let counts = |i: &usize| whole.scored()[*i] && !left_out.contains(i);
-    (0..whole.scored().len()).filter(counts).map(|i| whole.errors(predictions, i)).collect()
+    (0..whole.scored().len()).filter(counts).collect()
+}
+
+/// Their errors.
+fn scored<M: SessionModel>(whole: &M, predictions: &M::Predictions, left_out: &[usize]) -> Vec<HeldOut> {
+    scored_rows(whole, left_out).into_iter().map(|i| whole.errors(predictions, i)).collect()
 }
 
 /// Errors of both models on every sealed reading that counts, and without those that are set aside.
@@ -91,12 +96,11 @@ fn errors<M: SessionModel>(
     let sum = |rows: &[HeldOut]| summarise(rows, whole.quantities(), "holdout", seed);
     let rows = scored(whole, after, &[]);
     let trimmed = |p: &M::Predictions| sum(&scored(whole, p, flagged));
-    let counted: Vec<usize> = (0..whole.scored().len()).filter(|&i| whole.scored()[i]).collect();
     Errors {
         before: sum(&scored(whole, before, &[])),
         after: sum(&rows),
         trimmed: (!flagged.is_empty()).then(|| [trimmed(before), trimmed(after)]),
-        noise_ratio: noise_ratio(whole, noise, &counted),
+        noise_ratio: noise_ratio(whole, noise, &scored_rows(whole, &[])),
         shared: Some(shared_noise(whole, flagged, noise)),
         coverage95: coverage95(&rows),
         ..Errors::default()
@@ -120,8 +124,7 @@ fn judgement<M: SessionModel>(
     let trimmed = Errors { after: trimmed, ..errors.clone() };
     let far = far_above_floor(whole, accepted, &trimmed, &decision.floor, look.level(ABOVE_FLOOR));
     let sd: Vec<f64> = noise.reading_sd(&whole.noise_inputs());
-    let counts = |i: &usize| whole.scored()[*i] && !flagged.contains(i);
-    let sd: Vec<f64> = (0..sd.len()).filter(counts).map(|i| sd[i] * whole.noise_factor()).collect();
+    let sd: Vec<f64> = scored_rows(whole, flagged).iter().map(|&i| sd[i] * whole.noise_factor()).collect();
     let of = |p: &M::Predictions| scored(whole, p, flagged);
     // Of two models the one that the other's readings speak against.
     let against = |wrong, right| {
@@ -184,7 +187,7 @@ fn residual<M: SessionModel>(whole: &M, h: &Hypothesis) -> Option<DMatrix<f64>> 
 
 /// Sealed readings that no tails of the noise explain under any of `models`, as in the fit: single slips are no misfit.
 fn holdout_outliers<M: SessionModel>(whole: &M, models: [&Hypothesis; 2], noise: &Noise) -> Vec<usize> {
-    let rows: Vec<usize> = (0..whole.scored().len()).filter(|&i| whole.scored()[i]).collect();
+    let rows = scored_rows(whole, &[]);
     if !(noise.repeat.value > 0.0) {
         return Vec::new();
     }
@@ -208,8 +211,7 @@ pub fn holdout_p<M: SessionModel>(
     noise: &Noise,
     left_out: &[usize],
 ) -> Option<f64> {
-    let n = whole.scored().len();
-    let rows: Vec<usize> = (0..n).filter(|i| whole.scored()[*i] && !left_out.contains(i)).collect();
+    let (n, rows) = (whole.scored().len(), scored_rows(whole, left_out));
     if rows.is_empty() || !(noise.repeat.value > 0.0) {
         return None;
     }
@@ -245,8 +247,7 @@ const MAX_DENSE: usize = 500;
 
 /// What the unsealed readings share by the noise: those that share it say less than they are.
 fn shared_noise<M: SessionModel>(whole: &M, flagged: &[usize], noise: &Noise) -> SharedNoise {
-    let counts = |i: &usize| whole.scored()[*i] && !flagged.contains(i);
-    let rows: Vec<usize> = (0..whole.scored().len()).filter(counts).collect();
+    let rows = scored_rows(whole, flagged);
     let step = rows.len().div_ceil(MAX_DENSE).max(1);
     let rows: Vec<usize> = rows.into_iter().step_by(step).collect();
     let covariance = |noise: &Noise| noise.weights_of(&whole.noise_inputs()).covariance(&rows);

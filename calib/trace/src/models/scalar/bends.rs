@@ -13,7 +13,7 @@ use super::frame::Declared;
 use super::row::range;
 use super::system::ScalarSystem;
 use crate::effect::{EffectModel, EffectTerm};
-use crate::levels::{REPLICATES, RETAIN_BESIDE_CORRELATED, RIVAL, z};
+use crate::levels::{RETAIN_BESIDE_CORRELATED, RIVAL, z};
 use crate::measurement_model::MeasurementModel;
 use crate::method::admissible::REFIT_STEPS;
 use crate::method::fit::{Fit, Status, Weights, fit};
@@ -80,10 +80,10 @@ pub(super) fn compete(system: &ScalarSystem, explained: &mut Explained, options:
         return;
     }
     let terms = &found.accepted().fit.terms;
-    let bends = terms.iter().filter(|t| system.effects()[t.effect].bend).count();
+    let bends = terms.iter().filter(|t| system.effects[t.effect].bend).count();
     // A smooth curve is a bend, and a wave or another bend for what is left of it: pieces of a law that the catalogue does not have.
     let of_stimulus = |t: &&EffectTerm| {
-        let of = &system.effects()[t.effect];
+        let of = &system.effects[t.effect];
         of.bend || of.waves_of_stimulus.contains(&of.effect.law(t.law).name)
     };
     let in_pieces =
@@ -132,14 +132,14 @@ fn keys(h: &Hypothesis) -> Vec<usize> {
 
 /// Only powers of the stimulus.
 fn is_polynomial(system: &ScalarSystem, h: &Hypothesis) -> bool {
-    let bends = h.fit.terms.iter().map(|t| &system.effects()[t.effect]).filter(|e| e.bend);
+    let bends = h.fit.terms.iter().map(|t| &system.effects[t.effect]).filter(|e| e.bend);
     bends.into_iter().all(|e| e.degree.is_some())
 }
 
 /// Something is left that follows the stimulus alone: repeats say so, or the strongest driver.
 fn smooth_rest(system: &ScalarSystem, explained: &Explained) -> bool {
     let found = &explained.found;
-    let lack = system.pure_error(found.accepted()).is_some_and(|l| l.p_value.is_some_and(|p| p < REPLICATES));
+    let lack = system.pure_error(found.accepted()).is_some_and(|l| l.is_significant());
     let driver = |d: &str| d == "stimulus";
     let left = found.failed_adequacy_test().and_then(|t| t.covariates.first());
     lack || left.is_some_and(|d| driver(&d.covariate))
@@ -170,7 +170,7 @@ impl<'a> Contest<'a> {
             .iter_mut()
             .enumerate()
             .for_each(|(k, c)| *c *= scale(k / rows.len()) * scale(k % rows.len()));
-        let effects = system.effects();
+        let effects = &system.effects;
         let beside = |t: &&EffectTerm| {
             let of = &effects[t.effect];
             !of.bend && (waves || !of.of_stimulus(of.effect.law(t.law)))
@@ -198,7 +198,7 @@ impl<'a> Contest<'a> {
             return Vec::new();
         };
         let (basis, residual) = (nuisance_basis(&plain), plain.stacked());
-        let observable = |e: &usize| system.effects()[*e].bend && system.not_observable(*e).is_none();
+        let observable = |e: &usize| system.effects[*e].bend && system.not_observable(*e).is_none();
         let mut fits: Vec<Fit> = Vec::new();
         for effect in (0..system.catalogue().len()).filter(observable) {
             let signatures = signatures_of_effect(system, effect, &plain, &self.independent, &basis);
@@ -285,7 +285,7 @@ fn beside_slow_noise(system: &ScalarSystem, explained: &mut Explained, noise: &N
 fn prefer_polynomial(system: &ScalarSystem, explained: &mut Explained, in_pieces: bool, options: &Options) {
     let found = &explained.found;
     let contest = Contest { inside: true, ..Contest::of(system, found.accepted(), &explained.noise, false) };
-    let effects = system.effects();
+    let effects = &system.effects;
     let Some(effect) = effects.iter().position(|e| e.effect.id == POLYNOMIAL) else { return };
     let of_degree = |(law, form): (usize, &EffectModel)| {
         // Half of the places are left to say whether it holds between them.

@@ -202,7 +202,7 @@ impl ScalarSystem {
         h: &Hypothesis,
     ) -> Option<&'static str> {
         let law = self.catalogue()[term.effect].law(term.law);
-        let plainer = (self.effects()[term.effect].looks_like)(law, &self.frame)?;
+        let plainer = (self.effects[term.effect].looks_like)(law, &self.frame)?;
         let effect = self.catalogue().iter().position(|e| e.id == plainer)?;
         let plain = EffectTerm { effect, law: 0, values: Vec::new() };
         let with = |more: &[&EffectTerm]| {
@@ -217,7 +217,7 @@ impl ScalarSystem {
     /// A shape that is none of the effect describes the readings as well (Akaike, two parameters) in place of `term`, by any of its laws: stimuli in steps of a fixed
     /// number of places make of a slow bend over time a fast wave over the stimulus.
     fn spans_too_few_periods(&self, others: &[EffectTerm], term: &EffectTerm, h: &Hypothesis) -> bool {
-        let effect = &self.effects()[term.effect];
+        let effect = &self.effects[term.effect];
         let shaped = |law: usize| effect.effect.laws[law].parameters.len() == 1;
         let better = |law: usize, shape: f64| {
             let other = EffectTerm { effect: term.effect, law, values: vec![shape] };

@@ -51,11 +51,8 @@ fn of_fold(h: &Hypothesis, shapes: &[Vec<Vec<f64>>], out: &dyn Fn(usize) -> bool
     let n = h.fit.raw_residual.nrows();
     let weight = |i: usize| h.weights.relative()[i];
     let kept = |v: &[f64]| DVector::from_fn(n, |i, _| if out(i) { 0.0 } else { weight(i) * v[i] });
-    let model: Vec<Vec<f64>> = h.fit.raw_design.column_iter().map(|c| c.iter().copied().collect()).collect();
-    let model: Vec<Vec<f64>> = model
-        .into_iter()
-        .chain(h.fit.raw_tangents.iter().map(|t| t.column(0).iter().copied().collect()))
-        .collect();
+    let columns = h.fit.raw_design.column_iter().chain(h.fit.raw_tangents.iter().map(|t| t.column(0)));
+    let model: Vec<Vec<f64>> = columns.map(|c| c.iter().copied().collect()).collect();
     let mut basis = Basis::default();
     model.iter().for_each(|c| {
         basis.push(&kept(c));
@@ -73,7 +70,7 @@ fn of_fold(h: &Hypothesis, shapes: &[Vec<Vec<f64>>], out: &dyn Fn(usize) -> bool
     };
     let best = shapes.iter().min_by(|a, b| p(a).total_cmp(&p(b)))?;
     let errors = |columns: &[Vec<f64>]| -> Option<f64> {
-        let design = DMatrix::from_fn(n, columns.len(), |i, j| kept_value(columns[j][i], out(i), weight(i)));
+        let design = DMatrix::from_columns(&columns.iter().map(|c| kept(c)).collect::<Vec<_>>());
         let b = design.svd(true, true).solve(&kept(&left), 1e-10).ok()?;
         let predicted = |i: usize| (0..columns.len()).map(|j| columns[j][i] * b[j]).sum::<f64>();
         Some((0..n).filter(|&i| out(i)).map(|i| (weight(i) * (left[i] - predicted(i))).powi(2)).sum())
@@ -81,8 +78,4 @@ fn of_fold(h: &Hypothesis, shapes: &[Vec<Vec<f64>>], out: &dyn Fn(usize) -> bool
     let without = errors(&model)?;
     let with = errors(&model.iter().chain(best).cloned().collect::<Vec<_>>())?;
     Some([without, without - with])
-}
-
-fn kept_value(value: f64, out: bool, weight: f64) -> f64 {
-    if out { 0.0 } else { weight * value }
 }

@@ -60,7 +60,7 @@ impl ScalarSystem {
 
     /// Degree of the polynomial that the accepted effects make of the declared one.
     fn degree(&self, declared: usize, accepted: &Hypothesis) -> Option<usize> {
-        let degree = |t: &EffectTerm| self.effects()[t.effect].degree;
+        let degree = |t: &EffectTerm| self.effects[t.effect].degree;
         let mut powers: Vec<usize> = accepted.fit.terms.iter().map(degree).collect::<Option<_>>()?;
         powers.sort_unstable();
         let wanted: Vec<usize> = (declared + 1..=declared + powers.len()).collect();
@@ -84,7 +84,7 @@ impl SessionText for ScalarSystem {
     }
 
     fn unit(&self) -> String {
-        self.names().response.clone()
+        self.names.response.clone()
     }
 
     fn format_text(&self, sentence: &str) -> String {
@@ -104,7 +104,7 @@ impl SessionText for ScalarSystem {
     }
 
     fn physical(&self, unit: &str, value: f64, law: usize) -> (f64, String) {
-        parameters::physical(unit, value, law, &self.frame, self.names())
+        parameters::physical(unit, value, law, &self.frame, &self.names)
     }
 
     fn nuisances(&self) -> &'static str {
@@ -112,12 +112,12 @@ impl SessionText for ScalarSystem {
     }
 
     fn cautions(&self, accepted: &Hypothesis) -> Vec<String> {
-        let limits = self.limits().iter().map(|l| l.sentence(&self.names().response));
+        let limits = self.limits.iter().map(|l| l.sentence(&self.names.response));
         limits.chain(untested(self, accepted)).collect()
     }
 
     fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
-        let (used, total) = (self.frame.rows.len(), self.points());
+        let (used, total) = (self.frame.rows.len(), self.points.len());
         let mut notes = Vec::new();
         if used < total {
             notes.push(format!(
@@ -154,7 +154,7 @@ impl SessionText for ScalarSystem {
                 notes.push(format!("Lack of fit of the {model} model against repetitions{judged}."));
             }
         }
-        if self.spread().is_some() {
+        if self.spread.is_some() {
             notes.push(
                 "Readings were weighted by the spread found; held-out errors are not weighted.".to_owned(),
             );
@@ -179,11 +179,11 @@ impl SessionModel for ScalarSystem {
         if self.catalogue()[effect].id == ERROR_TABLE {
             return deviations(self, &h.fit);
         }
-        of_effect(self, &h.fit, effect, self.names())
+        of_effect(self, &h.fit, effect, &self.names)
     }
 
     fn refusal(&self, sealed: &Sealed<ScalarRow>) -> Option<String> {
-        let why = admission::refusal(self.session_rows(), sealed, &self.frame.scaling, self.frame.declared)?;
+        let why = admission::refusal(&self.points, sealed, &self.frame.scaling, self.frame.declared)?;
         Some(format!("The data cannot be used: {why}."))
     }
 
@@ -203,7 +203,7 @@ impl SessionModel for ScalarSystem {
     }
 
     fn noise_effect(&self) -> Option<NamedEffect> {
-        let spread = self.spread()?;
+        let spread = self.spread.as_ref()?;
         let (law, name) = match spread.law {
             SpreadLaw::Power => ("power", "exponent"),
             SpreadLaw::Exponential => ("exponential", "log_sd_per_half_range"),
@@ -275,7 +275,7 @@ impl SessionModel for ScalarSystem {
     }
 
     fn sealed(&self) -> &[bool] {
-        self.sealed_rows()
+        &self.sealed
     }
 
     fn predict(&self, h: &Hypothesis, reading_sd: &[f64]) -> Option<ScalarPredictions> {
@@ -328,7 +328,7 @@ impl SessionModel for ScalarSystem {
         let shared = shared + zero_scatter(self, &accepted.fit) / accepted.fit.variance();
         let [declared, richer] = self.polynomials(base, accepted);
         let polynomial = richer.or(declared.filter(|_| accepted.fit.terms.is_empty()));
-        ScalarModel::of(self, accepted, self.spread(), shared, self.names(), polynomial, lack)
+        ScalarModel::of(self, accepted, shared, polynomial, lack)
     }
 
     fn unusable_reason(&self, accepted: &Hypothesis) -> Option<String> {
@@ -352,8 +352,8 @@ impl SessionModel for ScalarSystem {
             channel: if self.axis() { "error" } else { "response" }.to_owned(),
             unit: self.unit(),
             measured: row.y,
-            predicted_before: before.value[i] - self.offset(),
-            predicted_after: after.value[i] - self.offset(),
+            predicted_before: before.value[i] - self.offset,
+            predicted_after: after.value[i] - self.offset,
             noise_sd: at.noise_sd,
             rejected: at.rejected.clone(),
             covariates: at.covariates.clone(),

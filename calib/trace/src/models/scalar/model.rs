@@ -1,7 +1,7 @@
 //! The accepted model of a scalar session as it is kept in `calibration.json`, and its predictions at new readings.
 
 use super::effects::scalar_catalogue;
-use super::frame::{Declared, Frame, Names, ScalarRow, Scaling};
+use super::frame::{Declared, Frame, ScalarRow, Scaling};
 use super::polynomial::Polynomial;
 use super::predictions::{Fitted, predict};
 use super::system::{ScalarSystem, relative_sd_at};
@@ -9,7 +9,7 @@ use crate::effect::{EffectTerm, LawRequirement};
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::lack_of_fit::LackOfFit;
-use crate::method::noise::spread::{Spread, SpreadLaw};
+use crate::method::noise::spread::SpreadLaw;
 use nalgebra::DMatrix;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -204,14 +204,12 @@ impl ScalarModel {
     pub fn of(
         system: &ScalarSystem,
         accepted: &Hypothesis,
-        spread: Option<&Spread>,
         shared: f64,
-        names: &Names,
         polynomial: Option<Polynomial>,
         lack_of_fit: [Option<LackOfFit>; 2],
     ) -> Self {
         let fitted = Fitted::of(&accepted.fit);
-        let frame = &system.frame;
+        let (frame, names) = (&system.frame, &system.names);
         let axis = frame.declared == Declared::Axis;
         let (s, half) = (&frame.scaling, frame.scaling.half.max(0.0));
         Self {
@@ -239,8 +237,8 @@ impl ScalarModel {
             covariance: fitted.covariance.row_iter().map(|r| r.iter().copied().collect()).collect(),
             variance: fitted.variance * (1.0 + shared),
             dof: fitted.dof,
-            offset: system.offset(),
-            spread: spread.map(|s| {
+            offset: system.offset,
+            spread: system.spread.as_ref().map(|s| {
                 let z = s.law.scale(frame);
                 let centre = z.iter().sum::<f64>() / z.len() as f64;
                 ModelSpread { law: s.law, exponent: s.exponent, centre }

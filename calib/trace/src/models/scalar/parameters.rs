@@ -7,14 +7,9 @@ use crate::effect::{EffectTerm, Role};
 use crate::levels::NORMAL_95;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, linear};
-use crate::method::inference::{self, t95};
+use crate::method::inference::{covariance, t95};
 use nalgebra::DMatrix;
 use wcal_core::verify_document::EffectParameter;
-
-/// Joint covariance of coefficients and nonlinear values.
-pub fn covariance(fit: &Fit) -> DMatrix<f64> {
-    inference::covariance(fit, fit.variance())
-}
 
 /// A unit over others with their powers: "V/kPa^2", "um/(1/m)". Quantities without a unit ("1") leave no trace, so that 1/1^2 is 1.
 pub fn ratio(numerator: &str, denominators: &[(&str, i32)]) -> String {
@@ -85,21 +80,16 @@ fn ordered([a, b]: [f64; 2]) -> [f64; 2] {
 
 /// Parameters of one effect of a fit, in the session's units, with 95 % intervals.
 pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names) -> Vec<EffectParameter> {
-    let covariance = covariance(fit);
+    let covariance = covariance(fit, fit.variance());
     let q = fit.design.ncols();
     let t = t95(fit.dof);
     let mut out: Vec<EffectParameter> = Vec::new();
-    let mut slot = q;
-    let linear = |t: &crate::effect::EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
-    let own: usize = fit.terms.iter().map(linear).sum();
-    let mut column = q - own;
-    let mut instance = 0;
-    for term in &fit.terms {
-        let law = &system.catalogue()[term.effect].law(term.law);
-        instance += usize::from(term.effect == effect);
+    let terms = fit.terms.iter().zip(fit.slots(system.catalogue())).filter(|(t, _)| t.effect == effect);
+    for (instance, (term, slots)) in terms.enumerate() {
+        let law = &system.catalogue()[effect].law(term.law);
         // A further term of the effect: its values are numbered.
-        let suffix = if instance > 1 { format!("_{instance}") } else { String::new() };
-        if let Some(Some(period)) = of_a_turn(law.name, &system.frame).filter(|_| term.effect == effect) {
+        let suffix = if instance > 0 { format!("_{}", instance + 1) } else { String::new() };
+        if let Some(Some(period)) = of_a_turn(law.name, &system.frame) {
             let unit = names.stimulus.clone();
             out.push(EffectParameter {
                 name: format!("period{suffix}"),
@@ -118,33 +108,26 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
                 interval95: ordered([at((value - half[0]).max(lowest)).0, at(value + half[1]).0]),
             });
         };
-        for (p, v) in law.parameters.iter().zip(&term.values) {
-            let half = t * covariance[(slot, slot)].max(0.0).sqrt();
+        for ((p, v), k) in law.parameters.iter().zip(&term.values).zip(slots.values) {
+            let half = t * covariance[(q + k, q + k)].max(0.0).sqrt();
             // The place of a change has no derivative: readings tell between which of them it lies.
-            let [below, above] =
-                if half > 0.0 && p.unit != "clock" { [half; 2] } else { reach95(system, fit, slot - q) };
-            slot += 1;
-            if term.effect == effect {
-                let at_least_none = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;
-                let lowest =
-                    if at_least_none || p.unit.starts_with("period") { 1e-9 * v.abs() } else { f64::MIN };
-                push(p.name, p.unit, *v, [below, above], lowest);
-            }
+            let halves = if half > 0.0 && p.unit != "clock" { [half; 2] } else { reach95(system, fit, k) };
+            let at_least_none = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;
+            let lowest =
+                if at_least_none || p.unit.starts_with("period") { 1e-9 * v.abs() } else { f64::MIN };
+            push(p.name, p.unit, *v, halves, lowest);
         }
+        let column = slots.columns.start;
         for (k, (name, unit)) in law.linear.iter().enumerate() {
-            if term.effect == effect {
-                let half = t * covariance[(column + k, column + k)].max(0.0).sqrt();
-                // Columns of one name are numbered: powers, series.
-                let several = law.linear.iter().filter(|l| l.0 == *name).count() > 1;
-                let numbered = if several { format!("{name}_{}", k + 1) } else { (*name).to_owned() };
-                let name = numbered.as_str();
-                push(name, unit, fit.coefficients[(column + k, 0)], [half; 2], f64::MIN);
-            }
+            let half = t * covariance[(column + k, column + k)].max(0.0).sqrt();
+            // Columns of one name are numbered: powers, series.
+            let several = law.linear.iter().filter(|l| l.0 == *name).count() > 1;
+            let numbered = if several { format!("{name}_{}", k + 1) } else { (*name).to_owned() };
+            push(&numbered, unit, fit.coefficients[(column + k, 0)], [half; 2], f64::MIN);
         }
-        if term.effect == effect && system.catalogue()[effect].id == PERIODIC {
+        if system.catalogue()[effect].id == PERIODIC {
             derived(&mut out, &suffix, fit, column, &covariance, t);
         }
-        column += law.linear.len();
     }
     out
 }

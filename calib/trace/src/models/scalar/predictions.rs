@@ -2,13 +2,12 @@
 
 use super::floor::{place_keys, replicate_keys};
 use super::frame::Frame;
-use super::parameters::covariance;
 use super::system::ScalarSystem;
 use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::Fit;
 use crate::method::hypothesis::Hypothesis;
-use crate::method::inference::t95;
+use crate::method::inference::{covariance, t95};
 use crate::verify::session_model::Folds;
 use nalgebra::{DMatrix, DVector};
 
@@ -122,7 +121,7 @@ impl Fitted {
         Self {
             terms: fit.terms.clone(),
             coefficients: fit.coefficients.column(0).iter().copied().collect(),
-            covariance: covariance(fit),
+            covariance: covariance(fit, fit.variance()),
             variance: fit.variance(),
             dof: fit.dof,
         }

@@ -67,8 +67,8 @@ pub(super) fn with_spread_of(
     // Nor is it that a period which is not steady leaves more toward the ends.
     let steady = || stationarity(system, accepted).is_none_or(|s| s.z <= UNSTEADY);
     let found = test_spread(system, accepted, seed)
-        .filter(|s| s.p_value <= SPREAD && !contradicted && !system.has_given_up_spread() && steady());
-    match (system.spread(), found) {
+        .filter(|s| s.p_value <= SPREAD && !contradicted && !system.given_up_spread && steady());
+    match (system.spread.as_ref(), found) {
         (None, Some(spread)) => Some(system.clone().with_spread(spread)),
         (Some(_), None) => Some(system.clone().without_spread()),
         _ => None,

@@ -1,12 +1,12 @@
 //! Is an accepted period the same in both halves of the session?
 
 use super::effects::PERIODIC;
-use super::parameters::covariance;
 use super::system::ScalarSystem;
 use crate::effect::EffectTerm;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::fit;
 use crate::method::hypothesis::Hypothesis;
+use crate::method::inference::covariance;
 use wcal_core::order_statistics::median;
 
 /// Cycles over the whole range, fitted to each half of the readings.
@@ -45,7 +45,7 @@ pub fn stationarity(system: &ScalarSystem, h: &Hypothesis) -> Option<Stationarit
         }
         let fitted = fit(system, &h.fit.terms, &kept, 25)?;
         let at = fitted.design.ncols() + slot;
-        let error = covariance(&fitted)[(at, at)].max(0.0).sqrt();
+        let error = covariance(&fitted, fitted.variance())[(at, at)].max(0.0).sqrt();
         Some((fitted.terms[place].values[0], error))
     };
     let ((a, sa), (b, sb)) = (half(false)?, half(true)?);

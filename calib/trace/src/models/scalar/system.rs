@@ -19,28 +19,31 @@ use wcal_core::repeats::decimal_step;
 
 /// Why a session does not give what a law needs; none where it does.
 fn unmet(need: LawRequirement, frame: &Frame) -> Option<&'static str> {
-    match need {
+    let (met, why) = match need {
         LawRequirement::Slope => {
-            (!frame.sloped()).then_some("the declared model is constant: it does not follow the stimulus")
+            (frame.sloped(), "the declared model is constant: it does not follow the stimulus")
         }
-        LawRequirement::Time if frame.time.is_none() => Some("the session has no time stamps"),
-        LawRequirement::Time | LawRequirement::Clock | LawRequirement::Order if frame.swept_once() => Some(SWEPT_ONCE),
-        LawRequirement::Time => None,
-        LawRequirement::Clock | LawRequirement::Order => (!frame.ordered).then_some(
+        LawRequirement::Time if frame.time.is_none() => (false, "the session has no time stamps"),
+        LawRequirement::Time | LawRequirement::Clock | LawRequirement::Order if frame.swept_once() => {
+            (false, SWEPT_ONCE)
+        }
+        LawRequirement::Clock | LawRequirement::Order => (
+            frame.ordered,
             "the table has no time stamps and is sorted by the stimulus, repetitions side by side: the order of the readings is unknown",
         ),
-        LawRequirement::BothDirections => frame.direction.is_none().then_some(
+        LawRequirement::BothDirections => (
+            frame.direction.is_some(),
             "the table has no readings in both directions (column direction, or times with rising and falling stimulus)",
         ),
         LawRequirement::Temperature => {
-            frame.temperature.is_none().then_some("the session has no temperature column, or it is constant")
+            (frame.temperature.is_some(), "the session has no temperature column, or it is constant")
         }
         LawRequirement::Covariate => {
-            let none = frame.covariates.iter().all(Option::is_none);
-            none.then_some("the table has no further covariate that varies")
+            (frame.covariates.iter().any(Option::is_some), "the table has no further covariate that varies")
         }
-        LawRequirement::Motion | LawRequirement::Weight | LawRequirement::Pictures | LawRequirement::MovingPictures | LawRequirement::StraightArc | LawRequirement::RestReadings => None,
-    }
+        _ => return None,
+    };
+    (!met).then_some(why)
 }
 
 /// Why no law of the clock shows in a single series of rising loads (ASTM E74, ISO 376 and DKD-R 6-1 turn directions for that reason).
@@ -53,22 +56,26 @@ const ONE_PLACE: &str = "the stimulus goes around once: 0 and a full turn are on
 pub struct ScalarSystem {
     /// Rows and covariates.
     pub frame: Frame,
-    effects: Vec<ScalarEffect>,
+    /// The effects with their hooks.
+    pub(super) effects: Vec<ScalarEffect>,
     catalogue: Vec<Effect>,
     measured: DMatrix<f64>,
     /// 1 / relative standard deviation of each reading, where the spread follows the stimulus.
     weights: Vec<f64>,
-    names: Names,
+    /// By which names the session calls things.
+    pub(super) names: Names,
     /// Every reading of the points table, those that the search leaves out among them.
-    points: Arc<Vec<ScalarRow>>,
-    sealed: Vec<bool>,
-    limits: Vec<RangeLimit>,
+    pub(super) points: Arc<Vec<ScalarRow>>,
+    /// Rows that were sealed.
+    pub(super) sealed: Vec<bool>,
+    /// Limits of the read-out at which readings stand.
+    pub(super) limits: Vec<RangeLimit>,
     /// Trend of the spread, where one was found.
-    spread: Option<Spread>,
+    pub(super) spread: Option<Spread>,
     /// A trend was found and did not outlive the effects that were found with it.
-    given_up_spread: bool,
-    /// The axis's known part enters with this far offset, see `design`.
-    offset: f64,
+    pub(super) given_up_spread: bool,
+    /// Far offset that the axis's known part enters with, added to every measured value (0 for transducers), see `design`.
+    pub(super) offset: f64,
 }
 
 /// Standard deviation of the noise at every row of `frame`, in units of that at `centre`, by a law of the spread.
@@ -178,51 +185,6 @@ impl ScalarSystem {
         self.weights.fill(1.0);
         self.given_up_spread |= self.spread.take().is_some();
         self
-    }
-
-    /// Whether a trend of the spread was given up.
-    pub(super) fn has_given_up_spread(&self) -> bool {
-        self.given_up_spread
-    }
-
-    /// The effects with their hooks.
-    pub fn effects(&self) -> &[ScalarEffect] {
-        &self.effects
-    }
-
-    /// Trend of the spread, where one was found.
-    pub fn spread(&self) -> Option<&Spread> {
-        self.spread.as_ref()
-    }
-
-    /// By which names the session calls things.
-    pub fn names(&self) -> &Names {
-        &self.names
-    }
-
-    /// Rows that were sealed.
-    pub fn sealed_rows(&self) -> &[bool] {
-        &self.sealed
-    }
-
-    /// The readings of the points table, in their order.
-    pub(super) fn session_rows(&self) -> &[ScalarRow] {
-        &self.points
-    }
-
-    /// Limits of the read-out at which readings stand.
-    pub fn limits(&self) -> &[RangeLimit] {
-        &self.limits
-    }
-
-    /// Readings of the points table.
-    pub fn points(&self) -> usize {
-        self.points.len()
-    }
-
-    /// What is added to every measured value inside the system (0 for transducers).
-    pub fn offset(&self) -> f64 {
-        self.offset
     }
 }
 

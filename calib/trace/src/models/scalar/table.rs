@@ -2,14 +2,13 @@
 
 use super::effects::ERROR_TABLE;
 use super::frame::Declared;
-use super::parameters::covariance;
 use super::system::ScalarSystem;
 use crate::effect::EffectTerm;
 use crate::levels::{CATALOGUE, REPLICATES};
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, Status, fit};
 use crate::method::hypothesis::Hypothesis;
-use crate::method::inference::t95;
+use crate::method::inference::{covariance, t95};
 use crate::method::min_p::{f_test, signature_p};
 use crate::method::noise_estimator::noise_for_predictions;
 use crate::method::omnibus::{OmnibusTest, omnibus_test};
@@ -32,8 +31,7 @@ pub fn has_table(system: &ScalarSystem, h: &Hypothesis) -> bool {
 /// Takes the table in place of an explanation that repeats contradict.
 pub(super) fn prefer_error_table(system: &ScalarSystem, explained: &mut Explained, options: &Options) {
     let found = &explained.found;
-    let contradicted =
-        |h: &Hypothesis| system.pure_error(h).is_some_and(|l| l.p_value.is_some_and(|p| p < REPLICATES));
+    let contradicted = |h: &Hypothesis| system.pure_error(h).is_some_and(|l| l.is_significant());
     let Some(effect) = index(system).filter(|&e| system.not_observable(e).is_none()) else { return };
     if system.frame.declared != Declared::Axis || explained.exact || !contradicted(found.accepted()) {
         return;
@@ -116,13 +114,11 @@ fn improves_on_laws(plain: &Fit, rich: &Fit) -> bool {
 /// The table's deviations by place and direction with 95 % intervals, as measured less commanded.
 pub fn deviations(system: &ScalarSystem, fit: &Fit) -> Vec<EffectParameter> {
     let Some(effect) = index(system) else { return Vec::new() };
-    let linear = |t: &EffectTerm| system.catalogue()[t.effect].law(t.law).linear.len();
     let Some(at) = fit.terms.iter().position(|t| t.effect == effect) else { return Vec::new() };
-    let own: usize = fit.terms.iter().map(linear).sum();
-    let first = fit.design.ncols() - own + fit.terms[..at].iter().map(linear).sum::<usize>();
+    let first = fit.slots(system.catalogue())[at].columns.start;
     let places = &system.frame.scaling.places;
     let by_direction = fit.terms[at].law == 1;
-    let (c, t) = (covariance(fit), t95(fit.dof));
+    let (c, t) = (covariance(fit, fit.variance()), t95(fit.dof));
     let coefficients = fit.coefficients.column(0);
     let ways: &[(&str, bool)] =
         if by_direction { &[(", rising", false), (", falling", true)] } else { &[("", false)] };
@@ -137,13 +133,12 @@ pub fn deviations(system: &ScalarSystem, fit: &Fit) -> Vec<EffectParameter> {
             if *falling {
                 g[first + places.len() - 1 + k] = 1.0;
             }
-            let value =
-                (0..coefficients.len()).map(|j| g[j] * coefficients[j]).sum::<f64>() - system.offset();
+            let value = (0..coefficients.len()).map(|j| g[j] * coefficients[j]).sum::<f64>() - system.offset;
             let half = t * g.dot(&(&c * &g)).max(0.0).sqrt();
             out.push(EffectParameter {
                 name: format!("deviation at {place}{way}"),
                 value,
-                unit: system.names().response.clone(),
+                unit: system.names.response.clone(),
                 interval95: [value - half, value + half],
             });
         }

@@ -3,9 +3,10 @@
 use super::frame::Declared;
 use super::model::ScalarModel;
 use super::system::ScalarSystem;
-use crate::effect::{EffectModel, EffectTerm};
+use crate::effect::EffectTerm;
 use crate::levels::{NO_SENSITIVITY, NO_SLOPE};
 use crate::measurement_model::MeasurementModel;
+use crate::method::fit::Fit;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::linear::Basis;
 use crate::method::min_p::f_test;
@@ -15,12 +16,12 @@ use nalgebra::DVector;
 /// or cubic term that was accepted is one of them, and so is a wave over the stimulus.
 pub(super) fn non_invertible_reason(system: &ScalarSystem, h: &Hypothesis) -> Option<String> {
     let Declared::Polynomial(degree @ 1..) = system.frame.declared else { return None };
-    if system.names().deviation {
+    if system.names.deviation {
         return None;
     }
     let fit = &h.fit;
     let column = |j: usize| DVector::from_column_slice(fit.design.column(j).clone_owned().as_slice());
-    let of_stimulus = columns_of_stimulus(system, &fit.terms, degree, fit.design.ncols());
+    let of_stimulus = columns_of_stimulus(system, fit, degree);
     let mut beside = Basis::default();
     for j in (0..fit.design.ncols()).filter(|j| !of_stimulus.contains(j)) {
         beside.push(&column(j));
@@ -38,28 +39,15 @@ pub(super) fn non_invertible_reason(system: &ScalarSystem, h: &Hypothesis) -> Op
 }
 
 /// Columns of the design that are functions of the stimulus: the declared powers, and those of effects that act through the stimulus alone.
-fn columns_of_stimulus(
-    system: &ScalarSystem,
-    terms: &[EffectTerm],
-    degree: usize,
-    count: usize,
-) -> Vec<usize> {
-    let laws: Vec<&EffectModel> = terms.iter().map(|t| system.catalogue()[t.effect].law(t.law)).collect();
-    let mut column = count - laws.iter().map(|l| l.linear.len()).sum::<usize>();
-    let mut out: Vec<usize> = (1..=degree).collect();
-    for (term, law) in terms.iter().zip(&laws) {
-        let columns = column..column + law.linear.len();
-        column = columns.end;
-        if system.effects()[term.effect].of_stimulus(law) {
-            out.extend(columns);
-        }
-    }
-    out
+fn columns_of_stimulus(system: &ScalarSystem, fit: &Fit, degree: usize) -> Vec<usize> {
+    let acts = |t: &EffectTerm| system.effects[t.effect].of_stimulus(system.catalogue()[t.effect].law(t.law));
+    let slots = fit.terms.iter().zip(fit.slots(system.catalogue())).filter(|(t, _)| acts(t));
+    (1..=degree).chain(slots.flat_map(|(_, own)| own.columns)).collect()
 }
 
 /// The model cannot be applied to the rows that it was fitted to.
 pub(super) fn domain_error(system: &ScalarSystem, h: &Hypothesis) -> Option<String> {
-    let model = ScalarModel::of(system, h, system.spread(), 0.0, system.names(), None, [None; 2]);
+    let model = ScalarModel::of(system, h, 0.0, None, [None; 2]);
     let why = model.predict(&system.frame.rows).err()?;
     Some(format!("The model cannot be applied to its own rows ({why}); no calibration follows from it."))
 }
@@ -71,7 +59,7 @@ const FEW: usize = 8;
 pub(super) fn untested(system: &ScalarSystem, h: &Hypothesis) -> Vec<String> {
     let Declared::Polynomial(degree) = system.frame.declared else { return Vec::new() };
     let (n, levels) = (system.frame.rows.len(), system.frame.levels());
-    let of_stimulus = 1 + columns_of_stimulus(system, &h.fit.terms, degree, h.fit.design.ncols()).len();
+    let of_stimulus = 1 + columns_of_stimulus(system, &h.fit, degree).len();
     let mut out = Vec::new();
     // As many settings as coefficients: the curve goes through all of them, whatever it does between them.
     if levels == of_stimulus && degree > 0 {

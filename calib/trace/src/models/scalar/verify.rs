@@ -18,6 +18,7 @@ use wcal_core::residual::ResidualRecord;
 use wcal_core::verify_document::VerifyDocument;
 
 /// Everything that a scalar session's verification found.
+#[derive(Default)]
 pub struct ScalarVerification {
     /// `verify.json`; `inputs` is left for the caller.
     pub document: VerifyDocument,
@@ -51,18 +52,8 @@ pub struct ScalarVerification {
 fn refused(session: &str, data: ScalarData<'_>, seed: u64, why: &str) -> ScalarVerification {
     ScalarVerification {
         document: VerifyDocument::refused(session, data.kind(), why, seed),
-        residuals: Vec::new(),
-        declared: None,
-        accepted: None,
-        model: None,
-        lack_of_fit_before: None,
-        lack_of_fit_after: None,
-        spread: None,
-        stationarity: None,
         residual_sd: [f64::NAN; 2],
-        evidence: Vec::new(),
-        gates: None,
-        whole: None,
+        ..ScalarVerification::default()
     }
 }
 
@@ -102,7 +93,7 @@ fn for_report(session: &str, v: Verification<ScalarSystem>, request: &VerifyRequ
     let mut document = VerifyDocument { session: session.to_owned(), ..v.document() };
     let system = v.decision.model();
     let (found, accepted) = (&v.decision.explained().found, &v.decision.conclusion().accepted);
-    if system.spread().is_none() {
+    if system.spread.is_none() {
         let remark = heteroscedasticity_note(system, accepted, request.search.seed);
         document.notes.extend(remark.map(|note| system.frame.declared.format_text(&note)));
     }
@@ -116,7 +107,7 @@ fn for_report(session: &str, v: Verification<ScalarSystem>, request: &VerifyRequ
         model: Some(v.decision.calibration().clone()),
         lack_of_fit_before: lack[0],
         lack_of_fit_after: lack[1],
-        spread: system.spread().cloned(),
+        spread: system.spread.clone(),
         stationarity: stationarity(system, accepted),
         residual_sd: [found.base.fit.variance().sqrt(), accepted.fit.variance().sqrt()],
         gates: Some([found.first_test.p_values(), found.last_test.p_values()]),

@@ -167,40 +167,37 @@ impl WhiskerSystem {
     pub(super) fn missing_requirement(&self, need: LawRequirement) -> Option<&'static str> {
         let has = &self.path.columns;
         let moving = |p: &Arc<Pictures>| p.each().any(|(i, ..)| self.path.readings[i].velocity_mm_s != 0.0);
-        match need {
-            LawRequirement::Time | LawRequirement::Clock => {
-                (!has.time).then_some("the session has no time stamps")
-            }
-            LawRequirement::Temperature => (!has.temperature).then_some("the session has no temperature"),
-            LawRequirement::Motion => (!has.speeds).then_some("no reading was taken while the stage moved"),
+        let (met, why) = match need {
+            LawRequirement::Time | LawRequirement::Clock => (has.time, "the session has no time stamps"),
+            LawRequirement::Temperature => (has.temperature, "the session has no temperature"),
+            LawRequirement::Motion => (has.speeds, "no reading was taken while the stage moved"),
             LawRequirement::Weight if !has.gravity => {
-                Some("the session does not give the direction of gravity")
+                (false, "the session does not give the direction of gravity")
             }
-            LawRequirement::Weight => {
-                let known = self.data.whisker.density_kg_m3.is_some();
-                (!known).then_some("the session does not give the density of the wire")
-            }
+            LawRequirement::Weight => (
+                self.data.whisker.density_kg_m3.is_some(),
+                "the session does not give the density of the wire",
+            ),
             LawRequirement::BothDirections => {
-                (!has.both_directions).then_some("the session has no readings of both directions")
+                (has.both_directions, "the session has no readings of both directions")
             }
-            LawRequirement::Pictures => self
-                .pictures
-                .is_none()
-                .then_some("the session has no pictures (shapes.json) that can be used"),
-            LawRequirement::StraightArc => {
-                let given = matches!(self.data.whisker.rest_shape, RestShape::StraightArc { .. });
-                (!given).then_some("the session declares the wire's points, not a straight part and an arc")
+            LawRequirement::Pictures => {
+                (self.pictures.is_some(), "the session has no pictures (shapes.json) that can be used")
             }
-            LawRequirement::MovingPictures => {
-                let none = !self.pictures.as_ref().is_some_and(moving);
-                none.then_some("no pair of pictures was taken while the stage moved")
-            }
+            LawRequirement::StraightArc => (
+                matches!(self.data.whisker.rest_shape, RestShape::StraightArc { .. }),
+                "the session declares the wire's points, not a straight part and an arc",
+            ),
+            LawRequirement::MovingPictures => (
+                self.pictures.as_ref().is_some_and(moving),
+                "no pair of pictures was taken while the stage moved",
+            ),
             LawRequirement::RestReadings => {
-                let none = self.path.readings.iter().all(|r| !r.rest);
-                none.then_some("no reading was taken at rest")
+                (self.path.readings.iter().any(|r| r.rest), "no reading was taken at rest")
             }
-            LawRequirement::Order | LawRequirement::Slope | LawRequirement::Covariate => None,
-        }
+            LawRequirement::Order | LawRequirement::Slope | LawRequirement::Covariate => return None,
+        };
+        (!met).then_some(why)
     }
 
     /// See [`effective_poses`].

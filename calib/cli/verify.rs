@@ -200,6 +200,9 @@ fn exit_code(verify: &VerifyDocument, doubtful: bool) -> (u8, &'static str) {
             4,
             "the sealed readings contradict the accepted model, and no calibration was written; measure again, or look for what changed between",
         ),
+        _ if verify.calibration.as_ref().is_some_and(|c| !c.holds) => {
+            (4, "the given calibration does not hold on these readings; calibrate anew, or find what changed")
+        }
         _ if !verify.cautions.is_empty() => (3, "the calibration stands within the cautions above"),
         _ if verify.after_trimmed.is_some() => (
             3,

@@ -8,7 +8,10 @@ use crate::{axis, transducer, whisker_checks};
 use std::path::Path;
 use wcal_core::files::folder_of;
 use wcal_core::observation::{PairLeftOut, Role, SessionShapes};
-use wcal_core::{InputFile, Labelled, Purpose, Sealed, SealedRows, SessionData, WhiskerData, WhiskerRow};
+use wcal_core::{
+    AxisRow, InputFile, Labelled, Purpose, Sealed, SealedRows, SessionData, TransducerRow, WhiskerData,
+    WhiskerRow,
+};
 
 const PM_PER_NM: f64 = 1000.0;
 
@@ -38,8 +41,8 @@ pub fn attach_holdout(session: &mut LoadedSession, path: &Path) -> Result<(), Se
 
 /// Adds a later session of the same sensor to the fit: its points to the points, its holdout to the holdout.
 ///
-/// The rows get a seating number of their own (the gratings' zero may differ after re-seating) and times an hour after the last reading,
-/// the wire at rest in between. Labels of its twin, if any, are not taken over (a warning says so).
+/// The rows get a seating number (other kinds: a series) of their own, since the zero may differ after re-seating, and times after the last
+/// reading, of a whisker an hour after it, the wire at rest in between. Labels of its twin, if any, are not taken over (a warning says so).
 ///
 /// # Errors
 /// As [`attach_holdout`].
@@ -66,6 +69,39 @@ fn place_after((data, sealed): (&WhiskerData, &Sealed<WhiskerRow>), added: &mut 
         row.seating = *seating;
         row.t_s = row.t_s.map(|t| t + shift_s);
     });
+}
+
+/// Time and series of a row.
+type Series<R> = fn(&mut R) -> (&mut Option<f64>, &mut Option<u32>);
+
+/// Rows of a later session are series of their own, since a mounting has its own zero, and lie after the last reading by as long as the session
+/// before took: how long nothing was read is not known.
+fn place_series<R: Labelled>(
+    own: (&mut [R], &mut Sealed<R>),
+    added: (&mut [R], &mut Sealed<R>),
+    of: Series<R>,
+) {
+    fn first<R>(row: &mut R, of: &Series<R>) {
+        of(row).1.get_or_insert(1);
+    }
+    fn later<R>(row: &mut R, (of, shift_s, highest): &(Series<R>, f64, u32)) {
+        let (t_s, series) = of(row);
+        *t_s = t_s.map(|t| t + shift_s);
+        *series = Some(highest.saturating_add(series.unwrap_or(1)));
+    }
+    own.0.iter_mut().for_each(|row| first(row, &of));
+    own.1.relabel(&of, first);
+    let highest = own.0.iter_mut().filter_map(|row| *of(row).1).max().unwrap_or(1);
+    let range = |rows: &[R], sealed: &Sealed<R>| {
+        let times = rows.iter().map(Labelled::label).chain(sealed.labels()).filter_map(|l| l.t_s);
+        times.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], t| [a.min(t), b.max(t)])
+    };
+    let ([begin_s, end_s], [theirs_s, _]) = (range(own.0, own.1), range(added.0, added.1));
+    let shift_s =
+        if end_s > begin_s && theirs_s.is_finite() { 2.0 * end_s - begin_s - theirs_s } else { 0.0 };
+    let with = (of, shift_s, highest);
+    added.0.iter_mut().for_each(|row| later(row, &with));
+    added.1.relabel(&with, later);
 }
 
 /// Another whisker session that is taken over.
@@ -199,21 +235,31 @@ fn attach_session(
         (
             SessionData::Transducer(data),
             SealedRows::Transducer(own),
-            SessionData::Transducer(added),
-            SealedRows::Transducer(sealed),
+            SessionData::Transducer(mut added),
+            SealedRows::Transducer(mut sealed),
         ) => {
             if (&data.stimulus_unit, &data.response_unit) != (&added.stimulus_unit, &added.response_unit) {
                 return Err(differs("units").field("transducer").into());
             }
             check_covariates(&renamed(&other.points_file), &data.covariates, &added.covariates)?;
+            if purpose == Purpose::Fit {
+                let of: Series<TransducerRow> = |row| (&mut row.t_s, &mut row.replicate);
+                place_series((&mut data.rows, own), (&mut added.rows, &mut sealed), of);
+            }
             take_over((&mut data.rows, own), (added.rows, sealed), purpose, &folder, |row| &mut row.source);
         }
         (
             SessionData::Axis(data),
             SealedRows::Axis(own),
-            SessionData::Axis(added),
-            SealedRows::Axis(sealed),
-        ) => take_over((&mut data.rows, own), (added.rows, sealed), purpose, &folder, |row| &mut row.source),
+            SessionData::Axis(mut added),
+            SealedRows::Axis(mut sealed),
+        ) => {
+            if purpose == Purpose::Fit {
+                let of: Series<AxisRow> = |row| (&mut row.t_s, &mut row.cycle);
+                place_series((&mut data.rows, own), (&mut added.rows, &mut sealed), of);
+            }
+            take_over((&mut data.rows, own), (added.rows, sealed), purpose, &folder, |row| &mut row.source);
+        }
         _ => return Err(other_kind(&renamed("session.toml")).into()),
     }
     // What is partly simulated is not measured.

@@ -1,6 +1,9 @@
 //! From tables through a calibration to predictions, and a calibration judged on later readings.
 
 use super::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
 
 #[test]
 fn an_axis_shows_its_backlash_and_predicts_with_it() {
@@ -147,6 +150,12 @@ fn a_calibration_is_judged_on_readings_that_it_was_not_fitted_to() {
         let verify: Value = serde_json::from_slice(&run.stdout)
             .unwrap_or_else(|e| panic!("{e}: {}", String::from_utf8_lossy(&run.stderr)));
         assert_eq!(verify["calibration"]["holds"], holds, "{}", verify["calibration"]);
+        assert_eq!(
+            run.status.code(),
+            Some(if holds { 0 } else { 4 }),
+            "{}",
+            String::from_utf8_lossy(&run.stderr)
+        );
         let failed = place.path().join(&out).join("judged-calibration.json");
         assert_eq!(failed.exists(), !holds);
         if !holds {
@@ -167,4 +176,47 @@ fn a_calibration_is_judged_on_readings_that_it_was_not_fitted_to() {
     let run = wcal(&["verify", &at("first"), "--calibration", &calibration, "--out", &at("own")]);
     assert_eq!(run.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&run.stderr).contains("not in its fit"), "{run:?}");
+}
+
+/// A later mounting has a zero and a clock of its own (SIMULATED).
+#[test]
+fn a_later_mounting_brings_its_own_zero_and_clock() {
+    let place = tempfile::tempdir().unwrap();
+    let at = |name: &str| place.path().join(name).display().to_string();
+    let mut rng = ChaCha8Rng::seed_from_u64(31);
+    let mut session = |name: &str, zero: f64, clock: bool| {
+        let row = |k: i32| {
+            let x = f64::from(k % 11);
+            let noise: f64 = rng.sample(StandardNormal);
+            let time = if clock { format!(",{}", 20 * k) } else { String::new() };
+            format!("{x},{:.5}{time}\n", zero + 0.2 * x + 0.003 * noise)
+        };
+        let rows: String = (0..33).map(row).collect();
+        let head = if clock { "load,signal,t_s\n" } else { "load,signal\n" };
+        fs::write(at("t.csv"), format!("{head}{rows}")).unwrap();
+        let (table, out) = (at("t.csv"), at(name));
+        let import = ["import", &table, "--kind", "transducer", "--model", "linear", "--stimulus", "load"];
+        let time: &[&str] = if clock { &["--time", "t_s"] } else { &[] };
+        let all = [&import[..], &["--response", "signal", "--out", &out], time].concat();
+        assert!(wcal(&all).status.success());
+    };
+    let mut joined = |zero: f64, clock: bool| -> Value {
+        let [first, second] = ["first", "second"].map(|name| format!("{name}-{zero}-{clock}"));
+        session(&first, 0.1, clock);
+        session(&second, zero, clock);
+        let (first, second, out) = (at(&first), at(&second), at(&format!("out-{zero}-{clock}")));
+        let run = wcal(&["verify", &first, "--add", &second, "--out", &out, "--json"]);
+        assert_eq!(run.status.code(), Some(0), "{}", String::from_utf8_lossy(&run.stderr));
+        serde_json::from_slice(&run.stdout).unwrap()
+    };
+    for clock in [false, true] {
+        let other = joined(0.16, clock);
+        let zeros = other["effects"][0]["parameters"][0]["value"].as_f64().unwrap();
+        assert_eq!(other["effects"][0]["id"], "zero-by-series", "{}", other["reason"]);
+        // A contrast: half of what the zeros differ by.
+        assert!((zeros.abs() - 0.03).abs() < 0.002, "{zeros}");
+        // Control: with the same zero nothing is found.
+        let same = joined(0.1, clock);
+        assert_eq!(same["verdict"], "adequate", "{}", same["reason"]);
+    }
 }

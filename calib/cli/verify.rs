@@ -49,7 +49,7 @@ use wcal_trace::whisker::{Verified, WhiskerSystem, WhiskerVerification, verify_w
 
 Turn a plain table into a session first: wcal import TABLE.csv ... --out SESSION.
 
-Exit code 0: adequate, or an effect was found and added; 1: refused (verify.json says why), or an error; 3: as 0, but the session has warnings, or single sealed readings lie far outside the noise; 4: ambiguous, unknown-effect or twin-fault, or sealed readings that contradict the accepted model.")]
+Exit code 0: adequate, or an effect was found and added; 1: refused (verify.json says why), or an error; 3: as 0, but the session has warnings, or single sealed readings lie far outside the noise; 4: ambiguous, unknown-effect or twin-fault, or sealed readings that contradict the accepted model, or a calibration (--calibration) that does not hold.")]
 pub struct VerifyArgs {
     /// Session folder
     pub session: PathBuf,

@@ -65,8 +65,9 @@ pub fn find_chessboard(
     let mut found = Vector::<Point2f>::new();
     let ok = match finder {
         Finder::Classic => {
-            // Without CALIB_CB_NORMALIZE_IMAGE: of the quads that it makes of noise, a board of another size takes ten seconds a picture.
-            let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_FAST_CHECK;
+            let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH
+                | calib3d::CALIB_CB_NORMALIZE_IMAGE
+                | calib3d::CALIB_CB_FAST_CHECK;
             calib3d::find_chessboard_corners(&mat, size, &mut found, flags).doing("findChessboardCorners")?
         }
         Finder::Sectors => {

@@ -11,6 +11,7 @@ mod foreign_tables;
 mod gratings;
 mod imports;
 mod limits;
+mod number_walk;
 mod numbers;
 mod paths;
 mod recordings;

@@ -12,15 +12,13 @@ use crate::run_file::RunFile;
 use crate::sound_clock::SoundClock;
 use crate::stage_track::Track;
 use crate::tables::{self, Row, Stream};
-use crate::windows::Samples;
+use crate::windows::{Window, missing_share, windows_of};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use wcal_core::files::write_atomic;
 
 pub use crate::reduction::Reduction;
 
-/// Length of the window of a row on the fly, s.
-const MOVING_WINDOW_S: f64 = 0.02;
 /// A row whose window misses more than this share of its scans is marked.
 const MAX_MISSING: f64 = 0.1;
 /// A clock that is off by more than this from one recording to the next was set, s.
@@ -152,16 +150,6 @@ fn pictured_rows(rows: &[Row]) -> Vec<PicturedRow> {
         all.extend(row.average_s.map(|_| PicturedRow { part, step, point, sealed }));
     }
     all
-}
-
-/// A window in device time, waiting for its samples.
-struct Window {
-    begin_s: f64,
-    end_s: f64,
-    event: usize,
-    samples: Samples,
-    /// A scan of it came late.
-    late: bool,
 }
 
 /// What a recording holds beside the scans' wavelengths.
@@ -380,52 +368,6 @@ fn clock_set_s(first: &ClockFit, fit: &ClockFit, clock_scale: f64) -> f64 {
     let set_s = fit.device_s(at_s) - first.device_s(at_s);
     let drift_s = CLOCK_SET_S + BROKEN_CLOCK * (at_s - first.origin_host_s).abs();
     if clock_scale == 1.0 && set_s.abs() > drift_s { set_s } else { 0.0 }
-}
-
-/// Share of a window that lies in gaps of the stream; `lost` in order of time.
-fn missing_share(window: &Window, lost: &[[f64; 2]]) -> f64 {
-    let from = lost.partition_point(|gap| gap[1] <= window.begin_s);
-    let gaps = lost[from..].iter().take_while(|gap| gap[0] < window.end_s);
-    let missing_s: f64 = gaps.map(|gap| gap[1].min(window.end_s) - gap[0].max(window.begin_s)).sum();
-    missing_s / (window.end_s - window.begin_s)
-}
-
-/// Windows of the readings that events state; of a recording with so many scans.
-///
-/// # Errors
-/// A move that states more rows than the recording has scans: two make a row.
-fn windows_of(events: &[SweepEvent], scans: u64) -> Result<Vec<Window>, String> {
-    let mut windows = Vec::new();
-    let mut moving_rows = 0;
-    for (index, event) in events.iter().enumerate() {
-        let mut add = |begin_s: f64, end_s: f64| {
-            let samples = Samples::default();
-            windows.push(Window { begin_s, end_s, event: index, samples, late: false });
-        };
-        match event.kind.as_str() {
-            "window" => add(event.begin_s, event.end_s),
-            "moving" if event.rows_hz > 0.0 => {
-                let half_s = MOVING_WINDOW_S.min(1.0 / event.rows_hz) / 2.0;
-                let rows = ((event.end_s - event.begin_s).max(0.0) * event.rows_hz) as u64 + 1;
-                moving_rows += rows;
-                if moving_rows > scans {
-                    return Err(format!(
-                        "{moving_rows} rows on the fly of {scans} scans (step {})",
-                        event.step
-                    ));
-                }
-                let mut centre_s = event.begin_s + half_s;
-                for _ in 0..rows {
-                    if centre_s + half_s <= event.end_s {
-                        add(centre_s - half_s, centre_s + half_s);
-                    }
-                    centre_s += 1.0 / event.rows_hz;
-                }
-            }
-            _ => {}
-        }
-    }
-    Ok(windows)
 }
 
 fn row_of(rig: &Rig, event: &SweepEvent, window: &Window, track: &Track, origin_s: f64) -> Option<Row> {

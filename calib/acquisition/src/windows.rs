@@ -1,4 +1,4 @@
-//! Samples of one averaging window: mean, spread, marked outliers.
+//! Averaging windows that a sweep's events state, and samples of one: mean, spread, marked outliers.
 //!
 //! ```text
 //! outlier   |x - med| > 8 * 1.4826 * median |x - med|        the factor makes the deviation that of a normal distribution
@@ -6,8 +6,11 @@
 //!
 //! Source: F. R. Hampel, "The Influence Curve and Its Role in Robust Estimation", J. Am. Stat. Assoc. 69 (1974) 383.
 
+use crate::message::SweepEvent;
 use wcal_core::order_statistics::{mad_sd, median};
 
+/// Length of the window of a row on the fly, s.
+const MOVING_WINDOW_S: f64 = 0.02;
 /// A sample farther than this many robust standard deviations from the median is marked, not averaged.
 const OUTLIER_SIGMA: f64 = 8.0;
 
@@ -92,6 +95,66 @@ fn mean_sd(values: &[f64]) -> (f64, f64) {
     let mean = values.iter().map(|v| v - first).sum::<f64>() / n;
     let variance = values.iter().map(|v| (v - first - mean).powi(2)).sum::<f64>() / (n - 1.0);
     (first + mean, variance.sqrt())
+}
+
+/// A window in device time, waiting for its samples.
+pub(crate) struct Window {
+    /// From, s.
+    pub begin_s: f64,
+    /// To, s.
+    pub end_s: f64,
+    /// Event that states it.
+    pub event: usize,
+    /// Its samples.
+    pub samples: Samples,
+    /// A scan of it came late.
+    pub late: bool,
+}
+
+/// Share of a window that lies in gaps of the stream; `lost` in order of time.
+pub(crate) fn missing_share(window: &Window, lost: &[[f64; 2]]) -> f64 {
+    let from = lost.partition_point(|gap| gap[1] <= window.begin_s);
+    let gaps = lost[from..].iter().take_while(|gap| gap[0] < window.end_s);
+    let missing_s: f64 = gaps.map(|gap| gap[1].min(window.end_s) - gap[0].max(window.begin_s)).sum();
+    missing_s / (window.end_s - window.begin_s)
+}
+
+/// Windows of the readings that events state; of a recording with so many scans.
+///
+/// # Errors
+/// A move that states more rows than the recording has scans: two make a row.
+pub(crate) fn windows_of(events: &[SweepEvent], scans: u64) -> Result<Vec<Window>, String> {
+    let mut windows = Vec::new();
+    let mut moving_rows = 0;
+    for (index, event) in events.iter().enumerate() {
+        let mut add = |begin_s: f64, end_s: f64| {
+            let samples = Samples::default();
+            windows.push(Window { begin_s, end_s, event: index, samples, late: false });
+        };
+        match event.kind.as_str() {
+            "window" => add(event.begin_s, event.end_s),
+            "moving" if event.rows_hz > 0.0 => {
+                let half_s = MOVING_WINDOW_S.min(1.0 / event.rows_hz) / 2.0;
+                let rows = ((event.end_s - event.begin_s).max(0.0) * event.rows_hz) as u64 + 1;
+                moving_rows += rows;
+                if moving_rows > scans {
+                    return Err(format!(
+                        "{moving_rows} rows on the fly of {scans} scans (step {})",
+                        event.step
+                    ));
+                }
+                let mut centre_s = event.begin_s + half_s;
+                for _ in 0..rows {
+                    if centre_s + half_s <= event.end_s {
+                        add(centre_s - half_s, centre_s + half_s);
+                    }
+                    centre_s += 1.0 / event.rows_hz;
+                }
+            }
+            _ => {}
+        }
+    }
+    Ok(windows)
 }
 
 #[cfg(test)]

@@ -88,8 +88,9 @@ pub fn print_text(report: &ReportInput, out: &Path) {
         println!("  caution: {caution}");
     }
     if let Some(noise) = &v.noise {
-        let shared =
-            noise.correlated.map(|c| format!("{} of it shared by neighbours", named(&readable(c.sd), unit)));
+        let shared = noise
+            .correlated
+            .map(|c| format!("{} of it shared by neighbours", named(&readable(c.sd), &noise.unit)));
         let tails = noise.tails_dof.map(|t| {
             format!("tails heavier than a Gaussian's (Student's t, {:.0} degrees of freedom)", t.value)
         });

@@ -293,7 +293,7 @@ impl WholeContact {
     pub fn sentences(&self) -> Vec<String> {
         let weights = &self.weights;
         let said = match (weights.regimes.certain(), weights.misstatement) {
-            (None, _) => Some("it is not told whether its point of the object stays, creeps or slides; places and regions are those of all".to_owned()),
+            (None, _) => Some("whether its point of the object stays, creeps or slides is not decided; places and regions are those of all".to_owned()),
             (Some(Regime::Misstated), Some((m, _))) => Some(format!("{}; marked motion-disagrees in status", m.sentence())),
             (Some(Regime::Sliding), _) if !self.sliding.sure() => Some("the fit of a sliding contact leaves more than noise, or the motion turns \
                  back: the contact may be lost, and its regions are wide; marked sliding-assumed in status"

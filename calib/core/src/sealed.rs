@@ -76,6 +76,8 @@ pub struct RowLabel {
     pub trajectory: Option<u32>,
     /// Seating.
     pub seating: u32,
+    /// Series (replicate, cycle) of a transducer's or an axis' row.
+    pub series: Option<u32>,
     /// Time, s.
     pub t_s: Option<f64>,
     /// It has a pair of pictures.

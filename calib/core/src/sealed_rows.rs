@@ -50,6 +50,7 @@ impl Labelled for WhiskerRow {
             point: self.point,
             trajectory: self.trajectory,
             seating: self.seating,
+            series: None,
             t_s: self.t_s,
             pictured: self.pair.is_some(),
         }
@@ -58,12 +59,12 @@ impl Labelled for WhiskerRow {
 
 impl Labelled for TransducerRow {
     fn label(&self) -> RowLabel {
-        RowLabel { point: self.point, t_s: self.t_s, ..RowLabel::default() }
+        RowLabel { point: self.point, t_s: self.t_s, series: self.replicate, ..RowLabel::default() }
     }
 }
 
 impl Labelled for AxisRow {
     fn label(&self) -> RowLabel {
-        RowLabel { point: self.point, t_s: self.t_s, ..RowLabel::default() }
+        RowLabel { point: self.point, t_s: self.t_s, series: self.cycle, ..RowLabel::default() }
     }
 }

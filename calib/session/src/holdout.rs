@@ -91,7 +91,8 @@ fn place_series<R: Labelled>(
     }
     own.0.iter_mut().for_each(|row| first(row, &of));
     own.1.relabel(&of, first);
-    let highest = own.0.iter_mut().filter_map(|row| *of(row).1).max().unwrap_or(1);
+    let labels = own.0.iter().map(Labelled::label).chain(own.1.labels());
+    let highest = labels.filter_map(|label| label.series).max().unwrap_or(1);
     let range = |rows: &[R], sealed: &Sealed<R>| {
         let times = rows.iter().map(Labelled::label).chain(sealed.labels()).filter_map(|l| l.t_s);
         times.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], t| [a.min(t), b.max(t)])

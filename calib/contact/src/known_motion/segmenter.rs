@@ -45,7 +45,7 @@ pub struct Beginning {
 /// What a reading is of.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Step {
-    /// No contact, or one of which the motion has not told the direction.
+    /// No contact, or one whose direction is not known yet.
     Outside,
     /// One that has become known by it.
     Begins(Beginning),

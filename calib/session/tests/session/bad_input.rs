@@ -4,7 +4,7 @@ use crate::broken::{Base, TABLE, WHISKER_POINTS};
 use std::fs;
 use std::path::Path;
 use wcal_core::{Role, SessionData, WhiskerData};
-use wcal_session::{LoadedSession, attach_holdout, examine, load, load_table};
+use wcal_session::{LoadedSession, add_session, attach_holdout, examine, load, load_table};
 
 #[test]
 fn good_sessions_load_without_warnings() {
@@ -272,4 +272,34 @@ fn every_session_among_the_fixtures_loads() {
         assert_eq!((found, session.sealed.len()), (rows, holdout), "{name}");
         assert!(session.warnings.is_empty(), "{name}: {:?}", session.warnings);
     }
+}
+
+/// Rows of a later session are series and times of their own, behind those that are sealed, too.
+#[test]
+fn a_later_session_has_its_own_series_and_times() {
+    let write = |rows: &str| {
+        let folder = tempfile::tempdir().unwrap();
+        let session = "format = \"wcal-session/1\"\nid = \"a\"\nkind = \"transducer\"\n[files]\npoints = \"points.csv\"\n\
+            [transducer]\nmodel = \"linear\"\nstimulus_unit = \"N\"\nresponse_unit = \"V\"\n";
+        fs::write(folder.path().join("session.toml"), session).unwrap();
+        let head = "point,role,stimulus,response,replicate,t_s\n";
+        fs::write(folder.path().join("points.csv"), format!("{head}{rows}")).unwrap();
+        folder
+    };
+    let first = "1,calibration,0,1,1,100\n2,calibration,1,2,1,110\n3,calibration,2,3,1,120\n";
+    let later = "1,calibration,0,1.1,1,5\n2,calibration,1,2.1,1,15\n3,calibration,2,3.1,2,25\n";
+    let joined = |first: &str| -> Vec<(u32, f64)> {
+        let (first, later) = (write(first), write(later));
+        let mut session = load(first.path()).unwrap();
+        add_session(&mut session, later.path()).unwrap();
+        let SessionData::Transducer(data) = session.data else { panic!("kind") };
+        data.rows.iter().map(|r| (r.replicate.unwrap(), r.t_s.unwrap())).collect()
+    };
+    let plain = joined(first);
+    assert_eq!(plain[..3], [(1, 100.0), (1, 110.0), (1, 120.0)]);
+    // As long after the last reading as the first session took.
+    assert_eq!(plain[3..], [(2, 140.0), (2, 150.0), (3, 160.0)]);
+    // A sealed series keeps its number to itself.
+    let sealed = joined(&format!("{first}4,holdout,1,2,4,130\n"));
+    assert_eq!(sealed[3..], [(5, 160.0), (5, 170.0), (6, 180.0)]);
 }

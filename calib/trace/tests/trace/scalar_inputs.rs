@@ -2,6 +2,7 @@
 //! few readings, a quantity that nobody set. SIMULATED; every test has a control without the fault.
 
 use super::{Noise, names};
+use std::f64::consts::TAU;
 use wcal_core::Sealed;
 use wcal_core::observation::{Role, TransducerData, TransducerModel, TransducerRow};
 use wcal_core::verify_document::Verdict;
@@ -200,4 +201,90 @@ fn what_counts_the_readings_is_no_stimulus() {
     };
     assert_eq!(names(&weight(0.065)), ["drift"]);
     assert_eq!(weight(0.0).document.verdict, Verdict::Adequate);
+}
+
+/// What noise may have swallowed is never adequate without a word: a zero that moved and came back, and one gross reading of few.
+#[test]
+fn noise_that_may_be_none_is_a_caution() {
+    let silent =
+        |v: &ScalarVerification| v.document.verdict == Verdict::Adequate && v.document.cautions.is_empty();
+    let (mut leaned_on, mut gross) = (Vec::new(), Vec::new());
+    for seed in 0..6 {
+        let timed = |moved: f64| {
+            let mut n = noise(seed);
+            let row = |k: usize| {
+                let (x, t_s) = ((k * 3 % 7) as f64, 20.0 * k as f64);
+                let zero = if (300.0..520.0).contains(&t_s) { moved } else { 0.0 };
+                (x, 0.2 * x + zero + 0.003 * n(), None, Vec::new(), Some(t_s))
+            };
+            linear((0..49).map(row).collect())
+        };
+        leaned_on.push([0.03, 0.0].map(|moved| silent(&timed(moved))));
+        let few = |wrong: f64| {
+            let mut n = noise(40 + seed);
+            let row = |k: usize| {
+                let (x, off) = (10.0 * (k % 11) as f64, if k == 4 { wrong } else { 0.0 });
+                (x, 1.0 + 0.05 * x + off + 0.004 * n(), None, Vec::new(), None)
+            };
+            linear((0..22).map(row).collect())
+        };
+        gross.push([0.06, 0.0].map(|wrong| silent(&few(wrong))));
+    }
+    println!("silent, with the fault and without: {leaned_on:?} {gross:?}");
+    let count = |all: &[[bool; 2]], which: usize| all.iter().filter(|s| s[which]).count();
+    assert!(count(&leaned_on, 0) == 0 && count(&gross, 0) == 0);
+    // Control: without the fault there is nothing to say.
+    assert!(count(&leaned_on, 1) >= 5 && count(&gross, 1) >= 5);
+}
+
+/// Readings tell between which of them the zero stepped, and no more.
+#[test]
+fn the_place_of_a_step_is_known_to_the_readings_beside_it() {
+    let found = |seed: u64| {
+        let mut n = noise(seed);
+        let row = |k: usize| {
+            let (x, t_s) = ((k % 6) as f64, 45.0 * k as f64);
+            let zero = if t_s > 920.0 { 0.04 } else { 0.0 };
+            (x, 0.2 * x + zero + 0.004 * n(), None, Vec::new(), Some(t_s))
+        };
+        linear((0..36).map(row).collect())
+    };
+    let all: Vec<ScalarVerification> = (0..6).map(found).collect();
+    let steps: Vec<[f64; 2]> =
+        all.iter().filter(|v| names(v) == ["step"]).map(|v| parameter(v, "place").1).collect();
+    println!("{steps:?}");
+    assert!(steps.len() >= 5 && steps.iter().all(|[from, to]| *from <= 920.0 && 920.0 <= *to));
+    // Ten standard deviations: the two readings beside it, and no wider.
+    assert!(steps.iter().all(|[from, to]| (44.0..=46.0).contains(&(to - from))));
+}
+
+/// A record that begins while the stimulus moves does not say what the stimulus was before; a delay of it is a delay all the same.
+#[test]
+fn a_delay_that_begins_in_motion_is_a_delay() {
+    let record = |seed: u64, late_s: f64, from_rest: bool| {
+        let mut n = noise(seed);
+        // Two tones: of one alone a delay and a first-order lag look the same.
+        let swing = |t: f64| 30.0 * (TAU * t / 300.0).sin() + 15.0 * (TAU * t / 97.0).sin();
+        let stimulus = |t: f64| match from_rest {
+            true => 50.0 + swing((t - 60.0).max(0.0)),
+            false => 50.0 + swing(t),
+        };
+        let row = |k: usize| {
+            let t_s = 4.0 * k as f64;
+            (stimulus(t_s), 0.01 * stimulus(t_s - late_s) + 0.008 * n(), None, Vec::new(), Some(t_s))
+        };
+        linear((0..200).map(row).collect())
+    };
+    for (seed, from_rest) in [(1, false), (2, false), (3, true)] {
+        let v = record(seed, 12.0, from_rest);
+        assert_eq!(names(&v), ["lag"], "{seed}: {}", v.document.reason);
+        let (delay, interval) = parameter(&v, "delay");
+        assert!(
+            (delay - 12.0).abs() < 0.6 && interval[0] < 12.2 && interval[1] > 11.8,
+            "{seed}: {delay} {interval:?}"
+        );
+        // Control: in step with its stimulus nothing is late.
+        let v = record(seed, 0.0, from_rest);
+        assert_eq!(v.document.verdict, Verdict::Adequate, "{seed}: {}", v.document.reason);
+    }
 }

@@ -290,6 +290,7 @@ fn effects_of_an_axis_are_named() {
         run(ScalarData::Axis(&data), seed)
     };
     let check = |id: &str, error: &(dyn Fn(&Reading) -> f64 + Sync)| {
+        // A drift is named alone in eight of ten: fewer draws say little of that.
         let found = share(id, 10, |s| with(s, error));
         assert!(found >= 0.8, "{id}: {found}");
     };
@@ -298,9 +299,9 @@ fn effects_of_an_axis_are_named() {
     let in_set = |id: &str, error: &(dyn Fn(&Reading) -> f64 + Sync)| {
         let holds =
             |seed: &u64| with(*seed, error).document.alternatives.iter().any(|a| a == &[id.to_owned()]);
-        let kept = (0..12u64).into_par_iter().filter(holds).count();
-        println!("{id} in the set: {kept} of 12");
-        assert!(kept >= 10, "{id}: {kept}");
+        let kept = (0..14u64).into_par_iter().filter(holds).count();
+        println!("{id} in the set: {kept} of 14");
+        assert!(kept >= 12, "{id}: {kept}");
     };
     in_set("scale", &|r| 0.4 * r.x);
     // The temperature of these sessions is itself a wave in time.

@@ -100,10 +100,18 @@ fn likelihood(nu: f64, z: &[f64], censored: usize) -> (f64, f64) {
     (at(sigma), sigma)
 }
 
+/// Degrees of freedom, log likelihood and scale of each of [`NU`].
+type Fits = [(f64, (f64, f64)); NU.len()];
+
+/// All tails, and the largest log likelihood.
+fn fits(z: &[f64], censored: usize) -> (Fits, f64) {
+    let fits = NU.map(|nu| (nu, likelihood(nu, z, censored)));
+    (fits, fits.iter().map(|f| f.1.0).fold(f64::NEG_INFINITY, f64::max))
+}
+
 /// Tails of sorted standardised residuals.
 fn fit_sorted(sorted: &[f64]) -> Tails {
-    let fits = NU.map(|nu| (nu, likelihood(nu, sorted, 0)));
-    let best = fits.iter().map(|f| f.1.0).fold(f64::NEG_INFINITY, f64::max);
+    let (fits, best) = fits(sorted, 0);
     // One-sided 95 % bound of a likelihood.
     let bound = gain_at_bound(0.05);
     let within = |f: &&(f64, (f64, f64))| 2.0 * (best - f.1.0) <= bound;
@@ -163,8 +171,8 @@ pub fn extreme_values(residuals: &[f64], most: usize, level: f64) -> Option<Extr
         if largest < 3.0 * sorted[n / 2] / 0.674 {
             continue;
         }
-        let fits = NU.map(|nu| (nu, likelihood(nu, &sorted[..n - k], k)));
-        let best = fits.iter().map(|f| f.1.0).fold(f64::NEG_INFINITY, f64::max);
+        let (fits, best) = fits(&sorted[..n - k], k);
+        // p_k of each tail, averaged with the likelihood of the others as weight.
         let (mut sum, mut whole) = (0.0, 0.0);
         for (nu, (log_likelihood, scale)) in fits {
             let single = two_sided_tail(nu, largest / scale).clamp(0.0, 1.0);

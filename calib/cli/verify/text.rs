@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use wcal_contact::groove_comparison::groove_sentence;
 use wcal_core::ResidualRecord;
+use wcal_core::text::{readable, with_unit};
 use wcal_core::verify_document::{ContactComparison, HoldoutOutcome};
 use wcal_report::ReportInput;
 use wcal_trace::scalar::ScalarData;
@@ -90,7 +91,7 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     if let Some(noise) = &v.noise {
         let shared = noise
             .correlated
-            .map(|c| format!("{} of it shared by neighbours", named(&readable(c.sd), &noise.unit)));
+            .map(|c| format!("{} of it shared by neighbours", with_unit(&readable(c.sd), &noise.unit)));
         let tails = noise.tails_dof.map(|t| {
             format!("tails heavier than a Gaussian's (Student's t, {:.0} degrees of freedom)", t.value)
         });
@@ -109,7 +110,7 @@ pub fn print_text(report: &ReportInput, out: &Path) {
             .iter()
             .map(|p| {
                 let [low, high] = p.interval95.map(readable);
-                named(&format!("{} = {} [{low}, {high}]", p.name, readable(p.value)), &p.unit)
+                with_unit(&format!("{} = {} [{low}, {high}]", p.name, readable(p.value)), &p.unit)
             })
             .collect();
         println!(
@@ -124,7 +125,7 @@ pub fn print_text(report: &ReportInput, out: &Path) {
         println!("  held-out error ({}, {} readings):        before      after", a.split, a.points);
         for (name, before) in &b.rmse {
             let after = a.rmse.get(name).copied().unwrap_or(f64::NAN);
-            let name = if name == "response_rmse" { named(name, unit) } else { name.clone() };
+            let name = if name == "response_rmse" { with_unit(name, unit) } else { name.clone() };
             println!("    {name:<32} {:>10} {:>10}", readable(*before), readable(after));
         }
         if let Some(trimmed) = &v.after_trimmed {
@@ -144,7 +145,7 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     let n = &v.noise_floor;
     for (floor, unit) in [(n.wavelength_pm, "pm"), (n.response, unit), (n.error_um, "um")] {
         if let Some(floor) = floor {
-            println!("  noise floor {} ({})", named(&readable(floor), unit), n.source);
+            println!("  noise floor {} ({})", with_unit(&readable(floor), unit), n.source);
         }
     }
     if let Some(floor) = n.contact_mm {
@@ -177,25 +178,11 @@ fn contact_line(c: &ContactComparison) -> String {
     )
 }
 
-/// A name or number with its unit; "1" is no unit.
-fn named(what: &str, unit: &str) -> String {
-    if matches!(unit, "" | "1") { what.to_owned() } else { format!("{what} {unit}") }
-}
-
 /// A p-value; the model of the noise says nothing of chances below a billionth.
 fn chance(p: f64) -> String {
     match p {
         p if p < 1e-9 => "p < 1e-9".to_owned(),
         p if p < 0.01 => format!("p = {p:.1e}"),
         p => format!("p = {p:.2}"),
-    }
-}
-
-/// Four decimals, or an exponent where these would hide the number.
-fn readable(value: f64) -> String {
-    if value == 0.0 || (0.01..1e6).contains(&value.abs()) {
-        format!("{value:.4}")
-    } else {
-        format!("{value:.4e}")
     }
 }

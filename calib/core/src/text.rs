@@ -96,6 +96,20 @@ pub fn decoded(bytes: &[u8]) -> Result<(String, Option<&'static str>), NotUtf8> 
     Ok((text.into_owned(), Some(other.found)))
 }
 
+/// A name or number with its unit; "1" is no unit.
+pub fn with_unit(what: &str, unit: &str) -> String {
+    if matches!(unit, "" | "1") { what.to_owned() } else { format!("{what} {unit}") }
+}
+
+/// Four decimals, or an exponent where these would hide the number.
+pub fn readable(value: f64) -> String {
+    if value == 0.0 || (0.01..1e6).contains(&value.abs()) {
+        format!("{value:.4}")
+    } else {
+        format!("{value:.4e}")
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -9,6 +9,7 @@ use super::left_out::Errors;
 use super::session_model::{FloorStatement, SessionModel};
 use crate::method::hypothesis::{Gate, Hypothesis};
 use crate::method::noise::{Noise, NoiseInputs};
+use wcal_core::text::{readable, with_unit};
 use wcal_core::verify_document::{
     CorrelatedNoise, FlaggedReading, NoiseDocument, NoiseLaw, NoisePart, TwinCheck, Verdict, VerifyDocument,
 };
@@ -100,7 +101,8 @@ fn notes<M: SessionModel>(
     }
     notes.extend(rejections(model, explained));
     notes.extend(other_laws(model, explained, conclusion));
-    notes.extend(noise.iter().flat_map(noise_sentences));
+    let clock_unit = model.noise_inputs().clock_unit();
+    notes.extend(noise.iter().flat_map(|noise| noise_sentences(noise, clock_unit)));
     notes.extend(model.notes(&explained.found, &conclusion.accepted));
     let quantity = model.quantities()[0];
     notes.extend(errors.further.iter().filter_map(|(name, e)| {
@@ -189,16 +191,17 @@ const MANY: f64 = 2.0;
 /// A correlated part of which the record holds a few swings alone, as a sentence: the fit takes it for noise, and it may be none.
 fn slow_noise(noise: &NoiseDocument, inputs: &NoiseInputs) -> Option<String> {
     let (slow, repeat) = (noise.correlated?, noise.repeat?.value);
-    let (whole, unit) = match &inputs.clock {
-        Some(clock) => (clock.last()? - clock.first()?, "s"),
-        None => (inputs.settings.len() as f64 - 1.0, "readings"),
+    let whole = match &inputs.clock {
+        Some(clock) => clock.last()? - clock.first()?,
+        None => inputs.settings.len() as f64 - 1.0,
     };
-    let (tau, own) = (slow.time_constant_s, &noise.unit);
+    let unit = inputs.clock_unit();
+    let tau = slow.time_constant_s;
+    let [shared, own] = [slow.sd, repeat].map(|sd| with_unit(&readable(sd), &noise.unit));
     (SWINGS * tau > whole && slow.sd > MANY * repeat).then(|| {
         format!(
-            "readings move together by {:.3} {own} within {tau:.0} of {whole:.0} {unit}, neighbours agree to {repeat:.3} {own}: taken as noise, but \
-             a zero that moved and came back looks the same. Measure again, or for longer.",
-            slow.sd
+            "readings move together by {shared} within {tau:.0} of {whole:.0} {unit}, neighbours agree to {own}: taken as noise, but \
+             a zero that moved and came back looks the same. Measure again, or for longer."
         )
     })
 }
@@ -215,20 +218,25 @@ fn tails_by_one<M: SessionModel>(model: &M, accepted: &Hypothesis, noise: &Noise
 }
 
 /// The noise in one or two plain sentences; none where there is nothing to say beyond its size.
-fn noise_sentences(noise: &NoiseDocument) -> Vec<String> {
-    let unit = &noise.unit;
+fn noise_sentences(noise: &NoiseDocument, clock_unit: &str) -> Vec<String> {
+    let size = |value: f64| with_unit(&readable(value), &noise.unit);
+    let range = |[low, high]: [f64; 2]| format!("[{}, {}]", readable(low), readable(high));
     let mut out = Vec::new();
     if let (Some(repeat), Some(pose)) = (noise.repeat, noise.pose.filter(|p| p.interval95[0] > 0.0)) {
         out.push(format!(
-            "Repeats of a held pose agree to {:.3} {unit}; setting the pose anew adds {:.3} [{:.3}, {:.3}] {unit}.",
-            repeat.value, pose.value, pose.interval95[0], pose.interval95[1]
+            "Repeats of a held pose agree to {}; setting the pose anew adds {} {}.",
+            size(repeat.value),
+            size(pose.value),
+            range(pose.interval95)
         ));
     }
     if let Some(c) = noise.correlated {
         out.push(format!(
-            "Part of the noise is correlated in time: {:.3} [{:.3}, {:.3}] {unit} with a time constant of {:.0} s; an effect is named only where \
+            "Part of the noise is correlated in time: {} {} with a time constant of {:.0} {clock_unit}; an effect is named only where \
              it goes beyond that.",
-            c.sd, c.interval95[0], c.interval95[1], c.time_constant_s
+            size(c.sd),
+            range(c.interval95),
+            c.time_constant_s
         ));
     }
     if let Some(law) = &noise.law {
@@ -245,7 +253,7 @@ fn noise_sentences(noise: &NoiseDocument) -> Vec<String> {
         ));
     }
     if let Some(rounding) = noise.rounding {
-        out.push(format!("Values are rounded: {:.3} {unit} of the noise at least.", rounding.value));
+        out.push(format!("Values are rounded: {} of the noise at least.", size(rounding.value)));
     }
     out
 }

@@ -288,6 +288,7 @@ mod tests {
             }
         }
         let inputs = NoiseInputs {
+            counts_readings: false,
             clock: Some(Arc::new((0..n).map(|i| 10.0 * i as f64).collect())),
             settings: Arc::new(settings),
             posed: Arc::new(vec![true; n]),

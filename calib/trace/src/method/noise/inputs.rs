@@ -11,6 +11,8 @@ const TYPICAL: f64 = 2.0;
 pub struct NoiseInputs {
     /// Clock of the readings, rising; none where their order in time is not known.
     pub clock: Option<Arc<Vec<f64>>>,
+    /// The clock counts readings, not seconds.
+    pub counts_readings: bool,
     /// Number of the pose setting of each reading.
     pub settings: Arc<Vec<usize>>,
     /// Whether a pose is set at all (not at rest).
@@ -26,10 +28,16 @@ pub struct NoiseInputs {
 }
 
 impl NoiseInputs {
+    /// Unit of the clock.
+    pub fn clock_unit(&self) -> &'static str {
+        if self.counts_readings || self.clock.is_none() { "readings" } else { "s" }
+    }
+
     /// Readings of which nothing is known.
     pub fn none(n: usize) -> Self {
         Self {
             clock: None,
+            counts_readings: false,
             settings: Arc::new((0..n).collect()),
             posed: Arc::new(vec![true; n]),
             spread: Vec::new(),

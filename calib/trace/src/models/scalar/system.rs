@@ -288,13 +288,15 @@ impl MeasurementModel for ScalarSystem {
         let n = frame.rows.len();
         let values: Vec<f64> = frame.rows.iter().map(|r| r.y).collect();
         // The order of the rows stands in for a clock where nothing speaks against it; a break between sweeps shows in the time constant.
-        let clock = if frame.rows.iter().all(|r| r.t_s.is_some()) {
+        let timed = frame.rows.iter().all(|r| r.t_s.is_some());
+        let clock = if timed {
             Some(frame.rows.iter().filter_map(|r| r.t_s).collect())
         } else {
             frame.ordered.then(|| (0..n).map(|k| k as f64).collect())
         };
         NoiseInputs {
             clock: clock.map(Arc::new),
+            counts_readings: !timed,
             known: self.weights.clone(),
             averaged: stated_variances(&frame.rows),
             step: vec![decimal_step(&values)],

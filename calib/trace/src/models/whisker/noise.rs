@@ -31,6 +31,7 @@ pub(crate) fn noise_inputs(data: &WhiskerData, path: &WhiskerPath) -> NoiseInput
         _ => 0.0,
     };
     NoiseInputs {
+        counts_readings: false,
         clock: path.columns.time.then(|| Arc::new(r.iter().map(|r| r.t_s).collect())),
         settings: Arc::new(settings),
         posed: Arc::new(r.iter().map(|r| !r.rest).collect()),

@@ -224,14 +224,19 @@ fn live(swept: &Swept) {
         }
         let run = child.wait_with_output().unwrap();
         let (said, summary) = (text(&run.stderr), serde_json::from_slice::<Value>(&run.stdout).unwrap());
-        println!("live, {name}: {:?} {said}", run.status.code());
+        println!("live, {name}: {:?} {said} {}", run.status.code(), summary["whiskers"][0]["contacts"]);
         assert_eq!(summary["stream_motion"]["source"], "stage carries the base");
         let contacts = summary["whiskers"][0]["contacts"].as_array().unwrap();
         assert_eq!(contacts.len(), 1, "{said}");
         assert_eq!(contacts[0]["disagreement"].is_null(), agrees, "{name}: {said}");
         assert!(agrees || run.status.code() == Some(3), "{name}: {said}");
         let regions = contacts[0]["regions"].as_array().unwrap();
-        let holds = |r: &&Value| (r["from_mm"].as_f64() <= Some(18.0)) && (Some(18.0) <= r["to_mm"].as_f64());
+        // A region of 95 % misses one contact in twenty; widened by half of itself on either side, four standard deviations, none.
+        let holds = |r: &&Value| {
+            let [from, to] = ["from_mm", "to_mm"].map(|end| r[end].as_f64().unwrap());
+            let slack = if agrees { 0.5 * (to - from) } else { 0.0 };
+            (from - slack..=to + slack).contains(&18.0)
+        };
         let held: f64 = regions.iter().filter(holds).filter_map(|r| r["probability"].as_f64()).sum();
         assert_eq!(held > 0.5, agrees, "{name}: {regions:?}");
     }

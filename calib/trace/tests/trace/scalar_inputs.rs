@@ -288,3 +288,30 @@ fn a_delay_that_begins_in_motion_is_a_delay() {
         assert_eq!(v.document.verdict, Verdict::Adequate, "{seed}: {}", v.document.reason);
     }
 }
+
+/// A thermometer that is put from bath to bath between two readings, once and for all at some moment of the interval.
+#[test]
+fn a_stimulus_that_jumps_between_readings_leaves_a_lag_and_nothing_else() {
+    let baths = [20.0, 80.0, 40.0, 60.0, 20.0, 80.0];
+    let record = |seed: u64, moment: f64, time_constant: f64| {
+        let (mut n, mut shown) = (noise(seed), baths[0]);
+        let row = |k: usize| {
+            let (before, bath) = (baths[k.saturating_sub(1) / 40], baths[k / 40]);
+            let toward = |from: f64, to: f64, s: f64| to + (from - to) * (-s / time_constant).exp();
+            shown = toward(toward(shown, before, 5.0 * moment), bath, 5.0 * (1.0 - moment));
+            (bath, shown + 0.2 * n(), None, Vec::new(), Some(5.0 * k as f64))
+        };
+        linear((0..240).map(row).collect())
+    };
+    for (seed, moment) in [(1, 0.0), (2, 0.3), (3, 1.0)] {
+        let v = record(seed, moment, 25.0);
+        assert_eq!(names(&v), ["lag"], "{seed}: {}", v.document.reason);
+        let (constant, interval) = parameter(&v, "time_constant");
+        assert!((constant - 25.0).abs() < 0.3 && interval[1] - interval[0] < 0.6, "{constant} {interval:?}");
+        let (found, _) = parameter(&v, "moment_of_step");
+        assert!((found - moment).abs() < 0.06, "{seed}: {found}");
+        // Control: a thermometer that follows at once, in a bath that was there before the reading.
+        let v = record(seed, moment.min(0.5), 0.1);
+        assert_eq!(v.document.verdict, Verdict::Adequate, "{seed}: {}", v.document.reason);
+    }
+}

@@ -21,6 +21,18 @@ pub fn relaxed_from(first: f64, u: &[f64], time: &[f64], tau: f64) -> Vec<f64> {
     out
 }
 
+/// The same of a stimulus that jumps between readings, each time at that share of the interval: it was held until then, and is from then on.
+pub fn relaxed_by_steps(u: &[f64], time: &[f64], tau: f64, moment: f64) -> Vec<f64> {
+    let mut out = u.to_vec();
+    for k in 1..u.len() {
+        let x = (time[k] - time[k - 1]) / tau;
+        // Before the interval's beginning, where an estimate scatters about it: not beyond what can be written.
+        let at_step = u[k - 1] + (out[k - 1] - u[k - 1]) * (-moment * x).min(300.0).exp();
+        out[k] = u[k] + (at_step - u[k]) * (-(1.0 - moment) * x).exp();
+    }
+    out
+}
+
 /// Play: the output stays until the play is taken up, true on the way up. `begun`: how far toward the other end it is taken up at first.
 pub fn play(u: &[f64], width: f64, begun: f64) -> Vec<f64> {
     let mut held = u.first().copied().unwrap_or(0.0) + begun * width;
@@ -86,6 +98,17 @@ mod tests {
         assert!((fine[1000] - coarse[1]).abs() < 1e-12);
         // Ramp through a first-order lag: t - tau (1 - exp(-t/tau)).
         assert!((coarse[1] - (1.0 - 0.3 * (1.0 - (-1.0f64 / 0.3).exp()))).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_step_at_the_reading_is_not_seen_by_it() {
+        let (u, time) = ([20.0, 80.0, 80.0], [0.0, 5.0, 10.0]);
+        let stepped = |moment| relaxed_by_steps(&u, &time, 25.0, moment);
+        let after = |s: f64| 80.0 - 60.0 * (-s / 25.0f64).exp();
+        for (moment, s) in [(1.0, [0.0, 5.0]), (0.4, [3.0, 8.0]), (0.0, [5.0, 10.0])] {
+            let out = stepped(moment);
+            assert!((1..3).all(|k| (out[k] - after(s[k - 1])).abs() < 1e-12), "{moment}: {out:?}");
+        }
     }
 
     #[test]

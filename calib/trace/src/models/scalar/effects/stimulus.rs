@@ -1,6 +1,6 @@
 //! Effects on the stimulus, and those that can act on it.
 
-use super::memory::{begun_in_motion, bouc_wen, delayed, play, relaxed, relaxed_from};
+use super::memory::{begun_in_motion, bouc_wen, delayed, play, relaxed, relaxed_by_steps, relaxed_from};
 use crate::effect::{Effect, EffectModel, LawRequirement, Values, law};
 use crate::scalar::frame::Declared;
 use crate::scalar::scalar_effect::ScalarEffect;
@@ -200,7 +200,7 @@ pub fn backlash(declared: Declared) -> ScalarEffect {
 }
 
 /// Lag: the response belongs to an earlier stimulus: pure delay of unsynchronised clocks, or a first-order low pass. What the stimulus did before
-/// the first reading is not known: it stood still, or moved as it does after it.
+/// the first reading is not known: it stood still, or moved as it does after it. Nor is what it did between readings: it moved evenly, or jumped.
 pub fn lag() -> ScalarEffect {
     let late = |name, value| {
         let timed = law(name).needing(&[LawRequirement::Slope, LawRequirement::Time]);
@@ -214,6 +214,7 @@ pub fn lag() -> ScalarEffect {
                 let moved = match values.law() {
                     "delay" => delayed(u, time, late, false),
                     "delay-in-motion" => delayed(u, time, late, true),
+                    "first-order-by-steps" => relaxed_by_steps(u, time, late, values.of("moment_of_step")),
                     "first-order-in-motion" => relaxed_from(begun_in_motion(u, time, late), u, time, late),
                     _ => relaxed(u, time, late),
                 };
@@ -231,6 +232,9 @@ pub fn lag() -> ScalarEffect {
                     late("first-order", "time_constant"),
                     late("delay-in-motion", "delay"),
                     late("first-order-in-motion", "time_constant"),
+                    // A step at a reading is estimated a little before or after it.
+                    late("first-order-by-steps", "time_constant")
+                        .shape("moment_of_step", "interval", [-0.2, 1.2], &[0.0, 0.5, 1.0]),
                 ],
             )
         }

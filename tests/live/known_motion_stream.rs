@@ -230,15 +230,15 @@ fn live(swept: &Swept) {
         assert_eq!(contacts.len(), 1, "{said}");
         assert_eq!(contacts[0]["disagreement"].is_null(), agrees, "{name}: {said}");
         assert!(agrees || run.status.code() == Some(3), "{name}: {said}");
+        // A region of 95 % misses one contact in twenty; widened by half of itself on either side, four standard deviations, none. Where motion
+        // and moments disagree, it may lie anywhere.
         let regions = contacts[0]["regions"].as_array().unwrap();
-        // A region of 95 % misses one contact in twenty; widened by half of itself on either side, four standard deviations, none.
         let holds = |r: &&Value| {
             let [from, to] = ["from_mm", "to_mm"].map(|end| r[end].as_f64().unwrap());
-            let slack = if agrees { 0.5 * (to - from) } else { 0.0 };
-            (from - slack..=to + slack).contains(&18.0)
+            (1.5 * from - 0.5 * to..=1.5 * to - 0.5 * from).contains(&18.0)
         };
         let held: f64 = regions.iter().filter(holds).filter_map(|r| r["probability"].as_f64()).sum();
-        assert_eq!(held > 0.5, agrees, "{name}: {regions:?}");
+        assert!(held > 0.5 || !agrees, "{name}: {regions:?}");
     }
 }
 

@@ -315,3 +315,29 @@ fn a_stimulus_that_jumps_between_readings_leaves_a_lag_and_nothing_else() {
         assert_eq!(v.document.verdict, Verdict::Adequate, "{seed}: {}", v.document.reason);
     }
 }
+
+/// Of creep after a load that is put on between two readings, none of them shows how much had passed before the first.
+#[test]
+fn creep_before_the_first_reading_is_in_its_interval() {
+    let record = |seed: u64, moment: f64, gap_s: f64| {
+        let (mut n, mut slow) = (noise(seed), 0.0);
+        let load = |k: usize| [0.0, 100.0, 0.0, 50.0, 0.0, 100.0, 0.0][k * 7 / 280];
+        let row = |k: usize| {
+            let (before, after) = (load(k.saturating_sub(1)), load(k));
+            let toward = |from: f64, to: f64, s: f64| to + (from - to) * (-s / 60.0f64).exp();
+            slow = toward(toward(slow, before, gap_s * moment), after, gap_s * (1.0 - moment));
+            let response = 0.02 * (0.98 * after + 0.02 * slow);
+            (after, response + 2e-4 * n(), None, Vec::new(), Some(gap_s * k as f64))
+        };
+        let v = linear((0..280).map(row).collect());
+        assert_eq!(names(&v), ["creep"], "{seed}: {}", v.document.reason);
+        parameter(&v, "creep_fraction").1
+    };
+    for (seed, moment) in [(1, 0.0), (2, 0.5), (3, 1.0)] {
+        let [from, to] = record(seed, moment, 30.0);
+        assert!(from < 0.0205 && 0.0195 < to && to - from < 0.015, "{moment}: {from} to {to}");
+        // Control: readings that follow each other closely leave little unseen.
+        let [from, to] = record(seed, moment, 5.0);
+        assert!(to - from < 0.003 && from < 0.0205 && 0.0195 < to, "{moment}: {from} to {to}");
+    }
+}

@@ -3,7 +3,7 @@
 use super::effects::{PERIODIC, ZERO_BY_SERIES, of_a_turn};
 use super::frame::{Frame, Names};
 use super::system::ScalarSystem;
-use crate::effect::{EffectTerm, Role};
+use crate::effect::{EffectTerm, Role, Values};
 use crate::levels::NORMAL_95;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, linear};
@@ -84,6 +84,7 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
     let q = fit.design.ncols();
     let t = t95(fit.dof);
     let mut out: Vec<EffectParameter> = Vec::new();
+    let owner = &system.effects[effect];
     let terms = fit.terms.iter().zip(fit.slots(system.catalogue())).filter(|(t, _)| t.effect == effect);
     for (instance, (term, slots)) in terms.enumerate() {
         let law = &system.catalogue()[effect].law(term.law);
@@ -109,7 +110,9 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
             });
         };
         for ((p, v), k) in law.parameters.iter().zip(&term.values).zip(slots.values) {
-            let half = t * covariance[(q + k, q + k)].max(0.0).sqrt();
+            let unseen =
+                (owner.systematic_sd)(&Values::new(law, term.law, &term.values), &system.frame, p.name);
+            let half = (t * covariance[(q + k, q + k)].max(0.0).sqrt()).hypot(NORMAL_95 * unseen);
             // The place of a change has no derivative: readings tell between which of them it lies.
             let halves = if half > 0.0 && p.unit != "clock" { [half; 2] } else { reach95(system, fit, k) };
             let at_least_none = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;

@@ -24,6 +24,8 @@ pub struct ScalarEffect {
     pub warp: fn(&Values, &Frame, &mut [f64]) -> bool,
     /// Columns (one value a reading) with free coefficients; none where the law does not apply.
     pub columns: fn(&Values, &Frame) -> Option<Vec<Vec<f64>>>,
+    /// Standard deviation of what no reading shows of a parameter, in its catalogue unit.
+    pub systematic_sd: fn(&Values, &Frame, &str) -> f64,
 }
 
 impl ScalarEffect {
@@ -53,6 +55,7 @@ impl From<Effect> for ScalarEffect {
             spans_too_few_periods: &[],
             warp: |_, _, _| true,
             columns: |_, _| Some(Vec::new()),
+            systematic_sd: |_, _, _| 0.0,
         }
     }
 }

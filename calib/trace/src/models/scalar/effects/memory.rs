@@ -33,6 +33,20 @@ pub fn relaxed_by_steps(u: &[f64], time: &[f64], tau: f64, moment: f64) -> Vec<f
     out
 }
 
+/// Relative standard deviation of what is left of a relaxation at the first reading after the stimulus jumped, at a moment between two readings that
+/// nothing tells (all alike: m from 0 to 1, `e^{m x}`, `x` the interval in time constants). The stimulus jumps where it is held before and after;
+/// the largest jump counts. 0 where it moves evenly.
+pub fn spread_of_jumps(u: &[f64], time: &[f64], tau: f64) -> f64 {
+    let held = |k: usize| u[k] == u[k - 1];
+    let jumps = (2..u.len().saturating_sub(1)).filter(|&k| !held(k) && held(k - 1) && held(k + 1));
+    let size = |k: &usize| (u[*k] - u[k - 1]).abs();
+    let Some(largest) = jumps.max_by(|a, b| size(a).total_cmp(&size(b))) else { return 0.0 };
+    let x = ((time[largest] - time[largest - 1]) / tau).clamp(1e-6, 50.0);
+    let mean = x.exp_m1() / x;
+    let variance = (2.0 * x).exp_m1() / (2.0 * x) - mean * mean;
+    variance.max(0.0).sqrt() / mean
+}
+
 /// Play: the output stays until the play is taken up, true on the way up. `begun`: how far toward the other end it is taken up at first.
 pub fn play(u: &[f64], width: f64, begun: f64) -> Vec<f64> {
     let mut held = u.first().copied().unwrap_or(0.0) + begun * width;
@@ -109,6 +123,15 @@ mod tests {
             let out = stepped(moment);
             assert!((1..3).all(|k| (out[k] - after(s[k - 1])).abs() < 1e-12), "{moment}: {out:?}");
         }
+    }
+
+    #[test]
+    fn what_no_reading_saw_of_a_jump_is_uniform_in_time() {
+        let time: Vec<f64> = (0..8).map(f64::from).collect();
+        let jump = [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0];
+        // A tenth of a time constant: its uniform spread.
+        assert!((spread_of_jumps(&jump, &time, 10.0) - 0.1 / 12f64.sqrt()).abs() < 1e-4);
+        assert_eq!(spread_of_jumps(&time, &time, 10.0), 0.0);
     }
 
     #[test]

@@ -1,6 +1,8 @@
 //! Effects on the stimulus, and those that can act on it.
 
-use super::memory::{begun_in_motion, bouc_wen, delayed, play, relaxed, relaxed_by_steps, relaxed_from};
+use super::memory::{
+    begun_in_motion, bouc_wen, delayed, play, relaxed, relaxed_by_steps, relaxed_from, spread_of_jumps,
+};
 use crate::effect::{Effect, EffectModel, LawRequirement, Values, law};
 use crate::scalar::frame::Declared;
 use crate::scalar::scalar_effect::ScalarEffect;
@@ -76,6 +78,14 @@ pub fn creep() -> ScalarEffect {
             }
             let constant = values.of("time_constant");
             Some(vec![frame.time.as_ref()?.iter().map(|t| (-t / constant).exp()).collect()])
+        },
+        // After a jump it is an exponential all the same: how much of it passed before the first reading, none of them shows.
+        systematic_sd: |values, frame, parameter| match (&frame.time, parameter) {
+            (Some(time), "creep_fraction") => {
+                let unseen = spread_of_jumps(&frame.u, time, values.of("time_constant"));
+                values.of(parameter).abs() * unseen
+            }
+            _ => 0.0,
         },
         ..Effect {
             has_memory: true,
@@ -233,8 +243,12 @@ pub fn lag() -> ScalarEffect {
                     late("delay-in-motion", "delay"),
                     late("first-order-in-motion", "time_constant"),
                     // A step at a reading is estimated a little before or after it.
-                    late("first-order-by-steps", "time_constant")
-                        .shape("moment_of_step", "interval", [-0.2, 1.2], &[0.0, 0.5, 1.0]),
+                    late("first-order-by-steps", "time_constant").shape(
+                        "moment_of_step",
+                        "interval",
+                        [-0.2, 1.2],
+                        &[0.0, 0.5, 1.0],
+                    ),
                 ],
             )
         }

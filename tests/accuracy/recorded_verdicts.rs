@@ -58,12 +58,25 @@ fn floors(v: &Value) {
     assert!((0.447 / 1.3..0.447 * 1.3).contains(&moving), "moving {moving} pm");
 }
 
+/// Whether poses that were set again refute the declared and the accepted model: p-values beside the verdict of each.
+fn refuted_by_replicates(v: &Value) -> Vec<bool> {
+    let all = v["tests"].as_array().unwrap().iter().filter(|t| t["witness"] == "replicates");
+    let of = |t: &Value| {
+        let (p, refuted) = (t["p"].as_f64().unwrap(), t["refuted"].as_bool().unwrap());
+        assert_eq!(refuted, p < 0.002, "{t}");
+        refuted
+    };
+    all.map(of).collect()
+}
+
 #[test]
 fn a_drift_is_named_alone_and_nothing_where_it_is_taken_out() {
     let v = verified(&recorded("drift"));
     let [low, high] = only(&v, "zero-drift", "drift_pm_per_min_1");
     assert!(low < 0.3 && 0.3 < high && high - low < 0.02, "{low} {high}");
     floors(&v);
+    // A second opinion, from nothing but how poses reproduce: the declared model is refuted, the accepted one stands.
+    assert_eq!(refuted_by_replicates(&v), [true, false], "{}", v["tests"]);
     // Control: the same readings less 0.3 pm/min.
     let without = edited("drift", |names, cells| {
         let minutes = cells[place(names, "t_s")].parse::<f64>().unwrap() / 60.0;
@@ -75,6 +88,7 @@ fn a_drift_is_named_alone_and_nothing_where_it_is_taken_out() {
     });
     let v = verified(without.path());
     assert_eq!(v["verdict"], "adequate", "{} {}", v["reason"], v["effects"]);
+    assert_eq!(refuted_by_replicates(&v), [false], "{}", v["tests"]);
     floors(&v);
 }
 
@@ -97,5 +111,6 @@ fn creep_is_named_alone() {
     assert!(low < 0.02 && 0.02 < high && high - low < 0.004, "{low} {high}");
     let [low, high] = only(&v, "creep", "time_constant_s");
     assert!(low < 30.0 && 30.0 < high && high - low < 12.0, "{low} {high}");
+    assert_eq!(refuted_by_replicates(&v), [true, false], "{}", v["tests"]);
     floors(&v);
 }

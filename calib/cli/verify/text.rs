@@ -154,10 +154,15 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     if let Some(tracked) = &v.groove_tracking {
         println!("  {}", groove_sentence(tracked));
     }
-    for t in v.tests.iter().filter(|t| t.witness != "pictures") {
+    for t in v.tests.iter().filter(|t| t.refuted || t.witness == "sweep") {
         let name = if t.effects.is_empty() { "declared model".to_owned() } else { t.effects.join(" with ") };
         let refuted = if t.refuted { " REFUTED" } else { "" };
-        println!("  {}: {name:<44} {:.2} {}, {}{refuted}", t.witness, t.magnitude, t.unit, chance(t.p));
+        println!(
+            "  {}: {name:<44} {}, {}{refuted}",
+            t.witness,
+            with_unit(&readable(t.magnitude), &t.unit),
+            chance(t.p)
+        );
     }
     if let Some(c) = &v.calibration {
         let verdict = if c.holds { "holds" } else { "does NOT hold" };

@@ -3,14 +3,14 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// An explanation before a witness: a measurement of the same instrument with noise of its own.
+/// An explanation before a witness: a measurement of the same instrument with noise of its own, or its own readings that repeat.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 pub struct WitnessTest {
-    /// Identifier of the witness: `sweep`, `pictures`.
+    /// Identifier of the witness: `sweep`, `pictures`, `replicates`.
     pub witness: String,
     /// Effects of the explanation; empty for the declared model.
     pub effects: Vec<String>,
-    /// Test statistic, chi-squared distributed where the explanation is right within its uncertainty.
+    /// Test statistic, chi-squared distributed where the explanation is right within its uncertainty; of replicates F.
     pub statistic: f64,
     /// Its degrees of freedom.
     pub dof: f64,
@@ -18,9 +18,10 @@ pub struct WitnessTest {
     #[schemars(range(min = 0, max = 1))]
     pub p: f64,
     /// Whether the witness refutes the explanation; pictures join the fit and are weighed by their scatter: they refute nothing by themselves.
+    /// Replicates that refute say that something is left beside it.
     pub refuted: bool,
     /// Size of what speaks against it: of a sweep the median distance of the nearest possible contact from the object, of pictures their scatter
-    /// over what the shapes state.
+    /// over what the shapes state, of replicates the standard deviation within a setting.
     pub magnitude: f64,
     /// Unit of the magnitude.
     pub unit: String,

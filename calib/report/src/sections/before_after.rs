@@ -252,15 +252,16 @@ fn table(input: &ReportInput, models: &[Model<'_>], quantities: &[Quantity]) -> 
 /// What further measurements of the instrument say of each explanation.
 fn witnesses(tests: &[WitnessTest]) -> String {
     let mut table = Table::new(
-        "Further measurements of the same instrument (of a sweep: median distance of the nearest possible contact from the object)",
-        &["witness", "explanation", "#size", "#chi-squared", "#degrees of freedom", "#p", "verdict"],
+        "Further measurements of the same instrument (size: of a sweep the median distance of the nearest possible contact from the object, of \
+         replicates the standard deviation within a setting)",
+        &["witness", "explanation", "#size", "#statistic", "#degrees of freedom", "#p", "verdict"],
     );
     for t in tests {
         let name = if t.effects.is_empty() { "declared model".into() } else { t.effects.join(" with ") };
         table.row(vec![
             TableCell::Text(t.witness.clone()),
             TableCell::Text(name),
-            TableCell::Number(format!("{:.2} {}", t.magnitude, t.unit)),
+            TableCell::Number(format!("{} {}", number(t.magnitude), t.unit)),
             TableCell::Number(format!("{:.1}", t.statistic)),
             TableCell::Number(format!("{:.0}", t.dof)),
             TableCell::Number(format!("{:.1e}", t.p)),

@@ -25,6 +25,16 @@ pub struct LackOfFit {
 }
 
 impl LackOfFit {
+    /// Of the sums of squares within settings and between them, each with its degrees of freedom; none without pure error.
+    pub fn against([pure, pure_dof]: [f64; 2], [rest, dof]: [f64; 2]) -> Option<Self> {
+        if pure_dof < 1.0 || !(pure > 0.0) {
+            return None;
+        }
+        let pure_variance = pure / pure_dof;
+        let f = (rest.max(0.0) / dof.max(1.0)) / pure_variance;
+        Some(Self { pure_sd: pure_variance.sqrt(), pure_dof, f, dof, p_value: f_tail(f, [dof, pure_dof]) })
+    }
+
     /// Repeats contradict the model.
     pub fn is_significant(&self) -> bool {
         self.p_value.is_some_and(|p| p < REPLICATES)
@@ -45,14 +55,8 @@ pub fn lack_of_fit(residual: &[f64], keys: &[u64], weights: &[f64], parameters: 
     }
     let pure_dof = (rows.len() - levels) as f64;
     let dof = levels as f64 - parameters as f64;
-    if pure_dof < 1.0 || !(pure > 0.0) {
-        return None;
-    }
     let total: f64 = rows.iter().map(|&i| residual[i].powi(2)).sum();
-    let pure_variance = pure / pure_dof;
-    let f = ((total - pure).max(0.0) / dof.max(1.0)) / pure_variance;
-    let p_value = f_tail(f, [dof, pure_dof]);
-    Some(LackOfFit { pure_sd: pure_variance.sqrt(), pure_dof, f, dof, p_value })
+    LackOfFit::against([pure, pure_dof], [total - pure, dof])
 }
 
 #[cfg(test)]

@@ -172,6 +172,13 @@ fn unknown(test: &OmnibusTest) -> Option<UnknownEffect> {
     })
 }
 
+/// What levels that reproduce better than they fit follow: their setting, in no shape that is known.
+fn irregular<M: SessionModel>(model: &M) -> Option<UnknownEffect> {
+    let (driver, _) = model.covariates().into_iter().next()?;
+    let drivers_ranked = vec![driver.clone()];
+    Some(UnknownEffect { driver, shape: "irregular".to_owned(), drivers_ranked, period: None })
+}
+
 fn unknown_reason(unknown: Option<&UnknownEffect>, beyond: &[NamedEffect]) -> String {
     let names: Vec<String> = beyond.iter().map(|e| e.id.clone()).collect();
     let beyond = if names.is_empty() { String::new() } else { format!(" beyond {}", join(&names)) };
@@ -194,7 +201,6 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         let all = found.survivors.iter().zip(&same_class).filter(|_| something);
         let rivals = all.filter(|(h, of_class)| rival(h, **of_class)).map(|(h, _)| h.clone()).collect();
         let against_pure_error = model.lack_of_fit(found.accepted()).filter(|_| !explained.exact);
-        let lack = |(l, driver): (LackOfFit, UnknownEffect)| l.is_significant().then_some(driver);
         Self {
             model,
             explained,
@@ -204,8 +210,8 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             rivals,
             left: !explained.exact
                 && (covariate_wins || (found.last_test.rejected() && !model.residual_explained(found))),
-            p_lack_of_fit: against_pure_error.as_ref().and_then(|(l, _)| l.p_value),
-            lack: against_pure_error.and_then(lack),
+            p_lack_of_fit: against_pure_error.and_then(|l| l.p_value),
+            lack: against_pure_error.filter(LackOfFit::is_significant).and_then(|_| irregular(model)),
         }
     }
 
@@ -400,7 +406,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             join(&withdrawn.names),
             format!("{after} {unit}").trim_end()
         );
-        let lack = self.model.lack_of_fit(&base).is_some_and(|(l, _)| l.is_significant());
+        let lack = self.model.lack_of_fit(&base).is_some_and(|l| l.is_significant());
         let (verdict, reason) = if self.found().first_test.generic() || lack {
             let left = "A residual remains that no catalogued effect explains.";
             (Verdict::UnknownEffect, format!("{found} {left}"))

@@ -12,6 +12,7 @@ use crate::method::noise::{Noise, NoiseInputs};
 use wcal_core::text::{readable, with_unit};
 use wcal_core::verify_document::{
     CorrelatedNoise, FlaggedReading, NoiseDocument, NoiseLaw, NoisePart, TwinCheck, Verdict, VerifyDocument,
+    WitnessTest,
 };
 
 /// The document; session, files and mark are the caller's.
@@ -56,7 +57,7 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         notes: notes(model, explained, conclusion, floor, &noise, in_turn),
         leave_one_effect_out: decision.ablations.clone(),
         holdout: assessment.holdout.clone(),
-        tests: explained.tests.clone(),
+        tests: explained.tests.iter().cloned().chain(replicates(model, explained, conclusion)).collect(),
         noise,
         verdict: conclusion.verdict,
         ..VerifyDocument::refused("", model.kind(), reason(model, conclusion, floor, &errors), decision.seed)
@@ -67,6 +68,31 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
 fn reason<M: SessionModel>(model: &M, c: &Conclusion, floor: &FloorStatement, errors: &Errors) -> String {
     let caveat = model.caveat(&c.accepted).map_or_else(String::new, |text| format!(" {text}"));
     format!("{}{caveat}{}{}", c.reason, floor.reason, model.format_text(&errors.remark))
+}
+
+/// The declared and the accepted model before readings that agree in every setting.
+fn replicates<M: SessionModel>(
+    model: &M,
+    explained: &Explained,
+    conclusion: &Conclusion,
+) -> Vec<WitnessTest> {
+    let (base, accepted) = (&explained.found.base, &conclusion.accepted);
+    let more = Some(accepted).filter(|a| a.fit.terms != base.fit.terms);
+    let test = |h: &Hypothesis| {
+        let l = model.lack_of_fit(h)?;
+        Some(WitnessTest {
+            witness: "replicates".to_owned(),
+            effects: h.term_ids(model.catalogue()),
+            statistic: l.f,
+            dof: l.dof,
+            p: l.p_value?,
+            refuted: l.is_significant(),
+            magnitude: l.pure_sd,
+            unit: model.unit(),
+            sentence: format!("Lack of fit, F on {} and {} degrees of freedom", l.dof, l.pure_dof),
+        })
+    };
+    std::iter::once(base).chain(more).filter_map(test).collect()
 }
 
 /// Readings that count in no fit or no held-out error.

@@ -10,7 +10,7 @@ use crate::method::search_result::SearchResult;
 use crate::verify::explained::Explained;
 use wcal_core::observation::Role;
 use wcal_core::verify_document::{
-    EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, NoisePart, TwinFault, UnknownEffect,
+    EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, NoisePart, TwinFault,
 };
 use wcal_core::{ResidualRecord, Sealed};
 
@@ -153,8 +153,8 @@ pub trait SessionModel: SessionText + Sized + Send {
     fn repeats_with_protocol(&self, _h: &Hypothesis, _columns: &[Vec<f64>]) -> bool {
         false
     }
-    /// Lack of fit against pure error, and what it would follow.
-    fn lack_of_fit(&self, _h: &Hypothesis) -> Option<(LackOfFit, UnknownEffect)> {
+    /// Lack of fit against the pure error of readings that agree in every setting.
+    fn lack_of_fit(&self, _h: &Hypothesis) -> Option<LackOfFit> {
         None
     }
     /// Floor under the accepted model; `left`: something is left, so that only replicates tell.

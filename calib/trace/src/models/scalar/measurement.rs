@@ -30,7 +30,7 @@ use crate::method::search_result::SearchResult;
 use crate::verify::session_model::{FloorStatement, Folds, Origin, Quantity, Record};
 use crate::verify::{Explained, HeldOut, SessionModel, SessionText};
 use nalgebra::DVector;
-use wcal_core::verify_document::{EffectParameter, NamedEffect, NextMeasurement, NoiseFloor, UnknownEffect};
+use wcal_core::verify_document::{EffectParameter, NamedEffect, NextMeasurement, NoiseFloor};
 use wcal_core::{ResidualRecord, Sealed};
 
 /// Predictions at every row, in the system's own values, with half widths of 95 % intervals.
@@ -116,7 +116,7 @@ impl SessionText for ScalarSystem {
         limits.chain(untested(self, accepted)).collect()
     }
 
-    fn notes(&self, found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
+    fn notes(&self, _found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {
         let (used, total) = (self.frame.rows.len(), self.points.len());
         let mut notes = Vec::new();
         if used < total {
@@ -139,20 +139,6 @@ impl SessionText for ScalarSystem {
         }
         if self.frame.swept_once() && !accepted.fit.terms.is_empty() {
             notes.push(self.format_text(&format!("Nothing is said of the time: {SWEPT_ONCE}.")));
-        }
-        for (model, h) in [("declared", &found.base), ("accepted", accepted)] {
-            if let Some(l) = self.pure_error(h) {
-                let judged = l.p_value.map_or_else(
-                    || ", which cannot be judged".to_owned(),
-                    |p| {
-                        format!(
-                            ": F = {:.4} on {} and {} degrees of freedom, p = {p:.2e}",
-                            l.f, l.dof, l.pure_dof
-                        )
-                    },
-                );
-                notes.push(format!("Lack of fit of the {model} model against repetitions{judged}."));
-            }
         }
         if self.spread.is_some() {
             notes.push(
@@ -242,15 +228,8 @@ impl SessionModel for ScalarSystem {
         self.is_block_effect(h, columns)
     }
 
-    fn lack_of_fit(&self, h: &Hypothesis) -> Option<(LackOfFit, UnknownEffect)> {
-        let driver = if self.axis() { "commanded_mm" } else { "stimulus" };
-        let unknown = UnknownEffect {
-            driver: driver.to_owned(),
-            shape: "irregular".to_owned(),
-            drivers_ranked: vec![driver.to_owned()],
-            period: None,
-        };
-        Some((self.pure_error(h)?, unknown))
+    fn lack_of_fit(&self, h: &Hypothesis) -> Option<LackOfFit> {
+        self.pure_error(h)
     }
 
     fn floor(&self, h: &Hypothesis, noise: &Noise, _left: bool) -> FloorStatement {

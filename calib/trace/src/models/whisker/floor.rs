@@ -3,8 +3,10 @@
 use super::system::WhiskerSystem;
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
-use crate::method::noise::{Noise, NoiseInputs};
+use crate::method::lack_of_fit::LackOfFit;
+use crate::method::noise::Noise;
 use crate::whisker::path::Reading;
+use nalgebra::{DMatrix, RowDVector};
 use std::collections::BTreeMap;
 
 /// Floor of the wavelengths.
@@ -63,29 +65,47 @@ fn tolerance_mm(sorted_mm: &[f64]) -> f64 {
     jump.map_or(exact, |k| (gaps[k - 1] * gaps[k]).sqrt())
 }
 
-/// Sum of squares and degrees of freedom within poses among `rows` of the residual, pm; settings held through count once, by their mean.
-fn within_poses(system: &WhiskerSystem, h: &Hypothesis, inputs: &NoiseInputs, rest: bool) -> (f64, f64) {
-    let readings = &system.path.readings;
-    let residual = &h.fit.raw_residual * system.channels_pm();
+/// Residuals by pose among the typical readings at rest, or loaded; settings held through count once, by their mean.
+fn by_pose(
+    system: &WhiskerSystem,
+    h: &Hypothesis,
+    residual: &DMatrix<f64>,
+    rest: bool,
+) -> Vec<Vec<RowDVector<f64>>> {
+    let (readings, inputs) = (&system.path.readings, system.noise_inputs());
     let pose = poses(readings);
     let mut groups: BTreeMap<usize, BTreeMap<usize, Vec<usize>>> = BTreeMap::new();
     let asked = |i: &usize| h.weights.counts(*i) && readings[*i].rest == rest && inputs.typical(*i);
     for i in (0..readings.len()).filter(asked) {
         groups.entry(pose[i]).or_default().entry(inputs.settings[i]).or_default().push(i);
     }
+    let mean = |rows: &Vec<usize>| residual.select_rows(rows).row_mean();
+    groups.values().map(|settings| settings.values().map(mean).collect()).collect()
+}
+
+/// Sum of squares and degrees of freedom within poses, over all channels.
+fn within(poses: &[Vec<RowDVector<f64>>]) -> (f64, f64) {
     let (mut sum, mut dof) = (0.0, 0.0);
-    for settings in groups.values().filter(|s| s.len() > 1) {
-        for c in 0..residual.ncols() {
-            let means: Vec<f64> = settings
-                .values()
-                .map(|m| m.iter().map(|&i| residual[(i, c)]).sum::<f64>() / m.len() as f64)
-                .collect();
-            let mean = means.iter().sum::<f64>() / means.len() as f64;
-            sum += means.iter().map(|m| (m - mean).powi(2)).sum::<f64>();
-            dof += means.len() as f64 - 1.0;
-        }
+    for settings in poses {
+        let mean = DMatrix::from_rows(settings).row_mean();
+        sum += settings.iter().map(|m| (m - &mean).norm_squared()).sum::<f64>();
+        dof += (settings.len() - 1) as f64 * mean.len() as f64;
     }
     (sum, dof)
+}
+
+/// What `h` leaves of loaded poses against how well a pose that is set again reproduces; none where too few were, or where readings share noise in
+/// time: poses that follow each other then differ by less than those that do not. No parameter is counted, so that F errs to the small side: rest
+/// readings, which are in no pose, take some.
+pub fn lack_of_fit(system: &WhiskerSystem, h: &Hypothesis) -> Option<LackOfFit> {
+    if h.weights.shared().is_some_and(|shared| shared.correlated.is_some()) {
+        return None;
+    }
+    let poses = by_pose(system, h, &h.fit.raw_residual, false);
+    let pure = within(&poses);
+    let total: f64 = poses.iter().flatten().map(RowDVector::norm_squared).sum();
+    let dof = (poses.len() * h.fit.raw_residual.ncols()) as f64;
+    (pure.1 >= MIN_DOF).then(|| LackOfFit::against([pure.0, pure.1], [total - pure.0, dof])).flatten()
 }
 
 /// The floor under the noise of the accepted model. `left`: something is left that the model does not explain, so its residuals are no noise
@@ -93,8 +113,9 @@ fn within_poses(system: &WhiskerSystem, h: &Hypothesis, inputs: &NoiseInputs, re
 pub fn noise_floor(system: &WhiskerSystem, h: &Hypothesis, noise: &Noise, left: bool) -> Option<Floor> {
     let inputs = system.noise_inputs();
     let readings = &system.path.readings;
-    let (sum, replicate_dof) = within_poses(system, h, &inputs, false);
-    let rest_dof = within_poses(system, h, &inputs, true).1;
+    let residual = &h.fit.raw_residual * system.channels_pm();
+    let (sum, replicate_dof) = within(&by_pose(system, h, &residual, false));
+    let rest_dof = within(&by_pose(system, h, &residual, true)).1;
     let sd = noise.reading_sd(&inputs);
     // From the engine's channels, whose noise is alike and independent, to the gratings'.
     let rms = |typical: bool| {

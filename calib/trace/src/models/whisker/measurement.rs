@@ -1,7 +1,7 @@
 //! The whisker session as a measurement model of the procedure.
 
 use super::admission;
-use super::floor::noise_floor;
+use super::floor::{lack_of_fit, noise_floor};
 use super::next::{self, RIVALS};
 use super::physical::PhysicalModel;
 use super::pictures::Pictures;
@@ -17,6 +17,7 @@ use crate::method::distributions::chi_squared_tail;
 use crate::method::fit::{Fit, Weights};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::{self};
+use crate::method::lack_of_fit::LackOfFit;
 use crate::method::noise::Noise;
 use crate::method::noise_estimator::noise_for_predictions;
 use crate::method::search_result::SearchResult;
@@ -155,6 +156,10 @@ impl SessionModel for WhiskerSystem {
 
     fn without(&self, refuted: &[String]) -> Self {
         self.clone().without_effects(refuted)
+    }
+
+    fn lack_of_fit(&self, h: &Hypothesis) -> Option<LackOfFit> {
+        lack_of_fit(self, h)
     }
 
     fn floor(&self, h: &Hypothesis, noise: &Noise, left: bool) -> FloorStatement {

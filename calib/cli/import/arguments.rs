@@ -32,8 +32,8 @@ pub struct ImportArgs {
     /// Log with t_s and base_x_mm .. base_z_mm, or object_x_mm .. (sweep)
     #[arg(long, value_name = "LOG", required_if_eq("kind", "sweep"))]
     pub motion: Option<PathBuf>,
-    /// Mesh of the object (sweep)
-    #[arg(long, value_name = "STL")]
+    /// Mesh of the object (sweep): STL, OBJ or PLY
+    #[arg(long, value_name = "MESH")]
     pub object: Option<PathBuf>,
     /// X,Y,Z (mm),QW,QX,QY,QZ of the mesh in the frame of the base's poses
     #[arg(long, value_name = "POSE", value_delimiter = ',', allow_hyphen_values = true)]

@@ -14,6 +14,7 @@ use wcal_contact::sweep_session::{KIND, PLACED_SD_MM, pose_of};
 use wcal_contact::table_source::base_pose;
 use wcal_session::{TextTable, read_text_table};
 use wcal_sim::Mesh;
+use wcal_sim::mesh_file::as_stl;
 
 const POSES: &str = "base_x_mm,base_y_mm,base_z_mm,base_qw,base_qx,base_qy,base_qz";
 
@@ -93,7 +94,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     }
     ensure!(
         object.is_some() || args.object_pose.is_none(),
-        "--object-pose: expected --object MESH.stl with it, found none"
+        "--object-pose: expected --object MESH with it, found none"
     );
     let files = [("points", "points.csv"), ("object", OBJECT)];
     let files = if object.is_some() { &files[..] } else { &files[..1] };
@@ -112,7 +113,8 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     refuse_other_tables(&out, &sources, sweep.points.as_bytes())?;
     out.put("points.csv", sweep.points.clone());
     if let Some((mesh, _)) = &object {
-        out.put(OBJECT, wcal_core::files::read(mesh).with_context(|| format!("reading {}", mesh.display()))?);
+        let bytes = wcal_core::files::read(mesh).with_context(|| format!("reading {}", mesh.display()))?;
+        out.put(OBJECT, as_stl(bytes).map_err(|e| anyhow::anyhow!("{}: {e}", mesh.display()))?);
     }
     out.put("session.toml", toml::to_string(&top)?);
     out.finish()?;

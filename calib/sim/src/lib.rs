@@ -5,6 +5,7 @@
 mod error;
 mod grid;
 pub mod mesh;
+pub mod mesh_file;
 mod outside;
 pub mod stl;
 

@@ -6,6 +6,7 @@
 
 use crate::SimError;
 use crate::grid::Grid;
+use crate::mesh_file;
 use crate::stl::{MAX_BYTES, MAX_TRIANGLES, Stl};
 use nalgebra::{Matrix3, Vector3};
 use parry3d_f64::math::Vector as Place;
@@ -116,7 +117,7 @@ impl Mesh {
         Ok(Self { name: name.to_owned(), low_mm, high_mm, notes, surface, bodies, grid })
     }
 
-    /// From an STL file. Metres taken for millimetres are recognised by the size and said in `notes`.
+    /// From a file of STL, OBJ or PLY. Metres taken for millimetres are recognised by the size and said in `notes`.
     ///
     /// # Errors
     /// As [`Self::new`], or where the file cannot be read.
@@ -128,7 +129,7 @@ impl Mesh {
             path: path.to_owned(),
             cause: std::io::Error::new(std::io::ErrorKind::InvalidData, found),
         };
-        let Stl { points, triangles, notes, .. } = Stl::parse(&bytes).map_err(wrong)?;
+        let Stl { points, triangles, notes, .. } = mesh_file::parse(&bytes).map_err(wrong)?;
         let mut points: Vec<Vector3<f64>> = points.iter().map(|v| Vector3::from(v.map(f64::from))).collect();
         let low = points.iter().fold(Vector3::repeat(f64::INFINITY), |a, p| a.inf(p));
         let high = points.iter().fold(Vector3::repeat(f64::NEG_INFINITY), |a, p| a.sup(p));

@@ -76,6 +76,18 @@ impl Stl {
         Ok(all)
     }
 
+    /// As a binary file; readers take the normals from the corners.
+    pub fn to_binary(&self) -> Vec<u8> {
+        let mut bytes = vec![0; HEADER - 4];
+        bytes.extend((self.triangles.len() as u32).to_le_bytes());
+        for triangle in &self.triangles {
+            let corners = triangle.iter().flat_map(|k| self.points[*k as usize]);
+            [0.0; 3].into_iter().chain(corners).for_each(|x| bytes.extend(x.to_le_bytes()));
+            bytes.extend([0; 2]);
+        }
+        bytes
+    }
+
     fn text(bytes: &[u8]) -> Result<Self, String> {
         if let Some(other) = text::other_than_text(bytes) {
             return Err(other.to_string());
@@ -124,7 +136,7 @@ impl Stl {
         }
     }
 
-    fn push(&mut self, corners: [[f32; 3]; 3]) {
+    pub(crate) fn push(&mut self, corners: [[f32; 3]; 3]) {
         let Self { points, known, .. } = self;
         let triangle = corners.map(|corner| {
             *known.entry(corner.map(f32::to_bits)).or_insert_with(|| {
@@ -151,29 +163,20 @@ fn begins_as_text(bytes: &[u8]) -> bool {
 
 /// What a file is that is no STL, by its first bytes, and what to do.
 fn other_form(bytes: &[u8]) -> Option<String> {
-    const MARKS: [(&[u8], &str); 8] = [
-        (b"ply", "PLY"),
+    const MARKS: [(&[u8], &str); 6] = [
         (b"OFF", "OFF"),
         (b"glTF", "glTF"),
         (b"ISO-10303-21", "STEP"),
         (b"#VRML", "VRML"),
         (b"<?xml", "XML (Collada, X3D, AMF)"),
         (b"PK\x03\x04", "3MF or zip"),
-        (b"\x1f\x8b", "gzip"),
     ];
-    if let Some((_, form)) = MARKS.iter().find(|(mark, _)| bytes.starts_with(mark)) {
-        let way_out = if *form == "gzip" { "unpack it first" } else { "save it as STL" };
-        return Some(format!("{form} ({way_out})"));
-    }
-    // Of Wavefront's OBJ each line begins with a word of its own, and comments with #.
-    const WORDS: [&str; 9] = ["v", "vn", "vt", "f", "o", "g", "s", "mtllib", "usemtl"];
-    let start = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]);
-    let first = start.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with('#'))?;
-    let word = first.split_ascii_whitespace().next()?;
-    WORDS.contains(&word).then(|| "OBJ (save it as STL)".to_owned())
+    let (_, form) = MARKS.iter().find(|(mark, _)| bytes.starts_with(mark))?;
+    Some(format!("{form} (save it as STL, OBJ or PLY)"))
 }
 
-fn check_count(triangles: u64) -> Result<(), String> {
+/// Whether so many triangles are read.
+pub(crate) fn check_count(triangles: u64) -> Result<(), String> {
     if triangles <= MAX_TRIANGLES as u64 {
         return Ok(());
     }

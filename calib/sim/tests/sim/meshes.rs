@@ -59,9 +59,10 @@ fn meshes_are_refused_or_noted_by_name() {
         assert!(error.contains(word), "{name}: {error}");
     }
     for (bytes, form) in [
-        (&b"# ball\no ball\nv 12.0 0.0 0.0\nv -12.0 0.0 0.0\nv 0.0 12.0 0.0\nf 1 2 3\nf 1 3 2\nf 2 1 3\n"[..], "OBJ (save it as STL)"),
-        (&b"ply\nformat ascii 1.0\nelement vertex 8\n                                                       \n"[..], "PLY"),
-        (&[0x1f, 0x8b, 8, 0].repeat(30)[..], "gzip (unpack it first)"),
+        (&b"# ball\no ball\nv 12.0 0.0 0.0\nv -12.0 0.0 0.0\nf 1 2 3\n"[..], "OBJ"),
+        (&b"ply\nformat ascii 1.0\nelement vertex 8\n"[..], "PLY"),
+        (&[0x1f, 0x8b, 8, 0].repeat(30)[..], "gzip file"),
+        (&b"glTF\x02\x00\x00\x00"[..], "glTF (save it as STL, OBJ or PLY)"),
     ] {
         std::fs::write(place("other.stl"), bytes).unwrap();
         let error = Mesh::read(&place("other.stl")).unwrap_err().to_string();

@@ -87,7 +87,7 @@ fn replicates<M: SessionModel>(
             dof: l.dof,
             p: l.p_value?,
             refuted: l.is_significant(),
-            magnitude: l.pure_sd,
+            magnitude: l.pure_sd * model.noise_factor(),
             unit: model.unit(),
             sentence: format!("Lack of fit, F on {} and {} degrees of freedom", l.dof, l.pure_dof),
         })

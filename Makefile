@@ -23,15 +23,11 @@ demo: program
 	cargo build --release --locked -p wcal -p wcal-mujoco-engine --bin wcal --bin wcal-mujoco
 	./target/release/wcal demo --out demo-out
 
-# What keeps time (a bench, a stream) leaves the machine mostly idle and must not wait for it: all else runs beside it with the lowest
-# priority. tests/contracts/layering.rs holds that no test is left out of both. Examples are not linked here: `make check` compiles them.
+# Built first, then run side by side (tests/run.sh). Examples are not linked here: `make check` compiles them.
 test: setup
 	cargo fmt --all --check
 	cargo test --workspace --locked --tests --no-run
-	@{ nice -n 19 cargo test --workspace --locked --tests -- --skip keeps_time:: && \
-	nice -n 19 cargo test --workspace --locked --doc; } >target/test.log 2>&1 & beside=$$!; \
-	cargo test --workspace --locked --test live --test drivers -- keeps_time::; first=$$?; \
-	wait $$beside; second=$$?; cat target/test.log; test $$first = 0 && test $$second = 0
+	tests/run.sh
 
 # Every target of every package. Nothing is generated or linked, but third-party code is checked once more: what tests build cannot be used.
 # Licences and sources are a test (tests/contracts/third_party.rs); known vulnerabilities need cargo-deny and its database on the network.

@@ -289,12 +289,15 @@ fn subset_candidates(
     let Some(scale) = fitting().map(|h| h.fit.variance()).min_by(f64::total_cmp) else { return Vec::new() };
     let top = fitting().map(|h| h.aic(&base.fit, scale)).fold(f64::INFINITY, f64::min);
     let residual = base.fit.stacked();
-    let known: Vec<Vec<TermKey>> = next.iter().map(|h| h.key(system, None)).collect();
+    // The laws of a set that is there already may be those of the first step, which saw the other effects as noise.
+    let known: Vec<(Vec<TermKey>, f64)> =
+        next.iter().map(|h| (h.key(system, None), h.aic(&base.fit, scale))).collect();
     best_subsets(system.catalogue(), signatures, &residual, size, scale, KEPT + known.len())
         .into_iter()
         .filter(|s| base.fit.ssr / scale - s.merit < top)
         .filter_map(|s| {
-            if known.contains(&s.key(system.catalogue(), signatures)) {
+            let key = s.key(system.catalogue(), signatures);
+            if known.iter().any(|(own, aic)| *own == key && *aic <= base.fit.ssr / scale - s.merit) {
                 return None;
             }
             let law = |a: &Signature| system.catalogue()[a.term.effect].law(a.term.law);

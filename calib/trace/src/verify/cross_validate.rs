@@ -22,6 +22,7 @@ use crate::method::options::Options;
 use crate::method::search::fit_declared_model;
 use crate::method::search_result::SearchResult;
 use nalgebra::{DMatrix, DVector};
+use std::cell::Cell;
 use wcal_core::verify_document::TwinFault;
 
 /// An explanation that readings left out in turn bear out.
@@ -53,7 +54,7 @@ pub fn cross_validate<M: SessionModel>(
     found: SearchResult,
     request: &VerifyRequest,
 ) -> Result<Validated<M>, TraceError> {
-    let (model, explained) = settle_noise(e, found)?;
+    let (model, mut explained) = settle_noise(e, found)?;
     let (seed, faults) = (request.search.seed, model.twin_faults());
     let facts = Facts::of(&model, &explained, &faults);
     // What is asked for, else what the data support term by term.
@@ -62,8 +63,12 @@ pub fn cross_validate<M: SessionModel>(
     let mut accepted = match asked {
         Some(chosen) => chosen,
         None if facts.is_ambiguous() => facts.accepted().clone(),
-        None => drop_unsupported(&model, &explained.found, facts.accepted()),
+        None => {
+            let whole = facts.accepted().clone();
+            drop_unsupported(&model, &mut explained, whole, &request.search)
+        }
     };
+    let facts = Facts::of(&model, &explained, &faults);
     let (found, mut noise) = (&explained.found, &explained.noise);
     let mut left_out = leave_out(&model, found, &accepted, noise, on_request, seed);
     // Where each term has earned its gain over whole groups already, pictures among it, the first quantity's error alone says no more.
@@ -145,17 +150,35 @@ fn withdraw_below_model_error(system: &dyn MeasurementModel, found: &mut SearchR
     found.last_test.within_model_error = small;
 }
 
-/// `h` without the terms that are none: beside the others each has to pass the level at which the search names. The least supported one
-/// first; itself where all are.
-fn drop_unsupported<M: SessionModel>(model: &M, found: &SearchResult, h: &Hypothesis) -> Hypothesis {
+/// `h` without the terms that are none: beside the others each has to pass the level at which the search names, with a size that is not zero. The
+/// least supported one first; itself where all are. Noise is then that of what is kept; where the fit needs a term of no size, something is left.
+fn drop_unsupported<M: SessionModel>(
+    model: &M,
+    explained: &mut Explained,
+    h: Hypothesis,
+    options: &Options,
+) -> Hypothesis {
+    let needed = Cell::new(false);
+    let family = &explained.found.first_test.family;
     let weakest = |kept: &Hypothesis, dropped: Vec<(usize, Hypothesis)>| {
-        let judged = dropped.into_iter().map(|d| (d.1.removal_p(&kept.fit, &found.first_test.family), d));
+        let judged = dropped.into_iter().map(|d| (d.1.removal_p(&kept.fit, family), d));
         let none = |(p, (term, _)): &(f64, (usize, Hypothesis))| {
             *p >= CATALOGUE || amplitudes_hold_zero(model, &kept.fit, *term)
         };
-        judged.filter(none).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, d)| d)
+        let (p, dropped) = judged.filter(none).max_by(|a, b| a.0.total_cmp(&b.0))?;
+        needed.set(needed.get() || p < CATALOGUE);
+        Some(dropped)
     };
-    h.eliminate(model, weakest).0
+    let (kept, gone) = h.eliminate(model, weakest);
+    if !gone.is_empty()
+        && let Some(noise) = NoiseEstimator::new(model, options.seed).noise(&kept, &[])
+    {
+        explained.noise = noise;
+    }
+    if needed.get() {
+        explained.found.last_test = omnibus_test(model, &kept.fit, &kept.weights, options);
+    }
+    kept
 }
 
 /// The joint 95 % region of a term's amplitudes, linear coefficients among them, holds zero (Wald). Each by itself may well hold it: sine and

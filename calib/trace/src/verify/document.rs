@@ -9,6 +9,7 @@ use super::left_out::Errors;
 use super::session_model::{FloorStatement, SessionModel};
 use crate::method::hypothesis::{Gate, Hypothesis};
 use crate::method::noise::{Noise, NoiseInputs};
+use nalgebra::DVector;
 use wcal_core::text::{readable, with_unit};
 use wcal_core::verify_document::{
     CorrelatedNoise, FlaggedReading, NoiseDocument, NoiseLaw, NoisePart, TwinCheck, Verdict, VerifyDocument,
@@ -51,6 +52,7 @@ pub fn document<M: SessionModel>(decision: &Decision<M>, assessment: &Assessment
         detectable: detect::table(model, fit, test),
         cautions: (model.cautions(&conclusion.accepted).into_iter())
             .chain(noise.as_ref().and_then(|n| slow_noise(n, &model.noise_inputs())))
+            .chain(noise_by_column(model, &conclusion.accepted, &of.noise))
             .chain(tails_by_one(model, &conclusion.accepted, &of.noise))
             .map(|c| model.format_text(&c))
             .collect(),
@@ -228,6 +230,33 @@ fn slow_noise(noise: &NoiseDocument, inputs: &NoiseInputs) -> Option<String> {
         format!(
             "readings move together by {shared} within {tau:.0} of {whole:.0} {unit}, neighbours agree to {own}: taken as noise, but \
              a zero that moved and came back looks the same. Measure again, or for longer."
+        )
+    })
+}
+
+/// Share of what the accepted model leaves from which a recorded column may be its cause.
+const FOLLOWED: f64 = 0.5;
+
+/// Noise that is correlated in time and runs with a recorded column, as a sentence that names it.
+fn noise_by_column<M: SessionModel>(model: &M, accepted: &Hypothesis, noise: &Noise) -> Option<String> {
+    noise.correlated?;
+    let fit = &accepted.fit;
+    let rows: Vec<usize> = (0..fit.raw_residual.nrows()).filter(|&i| accepted.weights.counts(i)).collect();
+    let residual = fit.raw_residual.select_rows(&rows);
+    // Squared multiple correlation with the column, all channels together; of the clock alone noise this slow has as much.
+    let share = |values: &[f64]| {
+        let column = DVector::from_iterator(rows.len(), rows.iter().map(|&i| values[i]));
+        let column = column.add_scalar(-column.mean());
+        (residual.tr_mul(&column)).norm_squared() / (column.norm_squared() * residual.norm_squared())
+    };
+    let recorded =
+        model.covariates().into_iter().filter(|(name, _)| !matches!(name.as_str(), "order" | "t_s"));
+    let (name, found) = recorded.map(|(n, v)| (n, share(&v))).max_by(|a, b| a.1.total_cmp(&b.1))?;
+    (found > FOLLOWED).then(|| {
+        format!(
+            "{:.0} % of what readings share with their neighbours, which is taken for noise, follow {name}: it may be an effect of it that these readings do not \
+             tell from noise.",
+            100.0 * found
         )
     })
 }

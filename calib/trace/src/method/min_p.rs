@@ -93,8 +93,10 @@ impl MinPDistribution {
                         continue;
                     }
                     let gain = draw.rows(at, signature.dimension()).norm_squared();
-                    // The tail is dear to compute: skip what cannot be small, where there are readings enough to say so.
-                    if dof > 10.0 && gain * dof / ssr < 2.0 * signature.dimension() as f64 {
+                    // The tail is dear to compute: skip what cannot be small (chi-squared below its mean and two deviations), where there are
+                    // readings enough to say so.
+                    let d = signature.dimension() as f64;
+                    if dof > 10.0 && gain * dof / ssr < (2.0 * d).min(d + 2.0 * (2.0 * d).sqrt()) {
                         continue;
                     }
                     best = best.min(signature_p(signature, gain, ssr, dof));

@@ -44,8 +44,8 @@ fn quantisation_step(system: &dyn MeasurementModel, channels: usize) -> Vec<f64>
     (0..channels).map(|c| steps.get(c).copied().flatten().unwrap_or(0.0)).collect()
 }
 
-/// A difference of one digit, rounding of the difference included.
-const ONE_DIGIT: f64 = 1.001;
+/// How far a reading of the digit beside the nearest one may lie from a model that passes between two, in digits.
+const ONE_DIGIT: f64 = 1.5;
 
 /// Flags readings that no tails explain, refits, and flags anew from all readings until nothing changes. `weights` may hold earlier flags.
 pub fn reject_outliers(

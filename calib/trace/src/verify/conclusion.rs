@@ -351,7 +351,10 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             }
             Verdict::UnknownEffect => {
                 unknown = self.unknown();
-                unknown_reason(unknown.as_ref(), &effects)
+                let why = found.rejections.iter().rfind(|r| r.gate == Gate::Identifiability);
+                let why =
+                    why.map_or(String::new(), |r| format!(" {} is not named: {}.", join(&r.effects), r.why));
+                unknown_reason(unknown.as_ref(), &effects) + &model.format_text(&why)
             }
             Verdict::Effect => sentences(&effects),
             Verdict::TwinFault => {

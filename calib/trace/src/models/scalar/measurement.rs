@@ -113,7 +113,12 @@ impl SessionText for ScalarSystem {
 
     fn cautions(&self, accepted: &Hypothesis) -> Vec<String> {
         let limits = self.limits.iter().map(|l| l.sentence(&self.names.response));
-        limits.chain(untested(self, accepted)).collect()
+        let of_two = parameters::zeros(self, &accepted.fit).filter(|zeros| *zeros == 2).map(|_| {
+            "the zero of a further series is known from two alone: intervals of predictions hold it, 13 times as wide as from many. Measure further \
+             series, or predict differences within one."
+                .to_owned()
+        });
+        limits.chain(untested(self, accepted)).chain(of_two).collect()
     }
 
     fn notes(&self, _found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {

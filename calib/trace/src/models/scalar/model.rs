@@ -212,6 +212,8 @@ impl ScalarModel {
         let (frame, names) = (&system.frame, &system.names);
         let axis = frame.declared == Declared::Axis;
         let (s, half) = (&frame.scaling, frame.scaling.half.max(0.0));
+        // Settings that lie on the digits of a coarse read-out hide what it rounds by: a further reading anywhere between them does not.
+        let step = system.noise_inputs().step.first().copied().flatten().unwrap_or(0.0);
         Self {
             session_kind: if axis { "axis" } else { "transducer" }.to_owned(),
             stimulus_unit: names.stimulus.clone(),
@@ -235,7 +237,7 @@ impl ScalarModel {
                 .collect(),
             coefficients: fitted.coefficients.clone(),
             covariance: fitted.covariance.row_iter().map(|r| r.iter().copied().collect()).collect(),
-            variance: fitted.variance * (1.0 + shared),
+            variance: (fitted.variance * (1.0 + shared)).max(step * step / 12.0),
             dof: fitted.dof,
             offset: system.offset,
             spread: system.spread.as_ref().map(|s| {

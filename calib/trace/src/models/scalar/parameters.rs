@@ -3,7 +3,7 @@
 use super::effects::{PERIODIC, ZERO_BY_SERIES, of_a_turn};
 use super::frame::{Frame, Names};
 use super::system::ScalarSystem;
-use crate::effect::{EffectTerm, Role, Values};
+use crate::effect::{EffectTerm, Values};
 use crate::levels::NORMAL_95;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, linear};
@@ -115,9 +115,8 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
             let half = (t * covariance[(q + k, q + k)].max(0.0).sqrt()).hypot(NORMAL_95 * unseen);
             // The place of a change has no derivative: readings tell between which of them it lies.
             let halves = if half > 0.0 && p.unit != "clock" { [half; 2] } else { reach95(system, fit, k) };
-            let at_least_none = matches!(p.role, Role::Amplitude { .. }) && p.range[0] == 0.0;
-            let lowest =
-                if at_least_none || p.unit.starts_with("period") { 1e-9 * v.abs() } else { f64::MIN };
+            // What is positive by its nature has no interval below zero.
+            let lowest = if p.range[0] >= 0.0 && p.unit != "clock" { 1e-9 * v.abs() } else { f64::MIN };
             push(p.name, p.unit, *v, halves, lowest);
         }
         let column = slots.columns.start;
@@ -133,6 +132,12 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
         }
     }
     out
+}
+
+/// How many series have a zero of their own, where that is the case.
+pub fn zeros(system: &ScalarSystem, fit: &Fit) -> Option<usize> {
+    let term = fit.terms.iter().find(|t| system.catalogue()[t.effect].id == ZERO_BY_SERIES)?;
+    Some(system.catalogue()[term.effect].law(term.law).linear.len() + 1)
 }
 
 /// Variance of another series' zero about the mean of k zeros, s^2 (1 + 1/k), as a normal one of the same 95 % interval (Student's t with k - 1 degrees of

@@ -341,3 +341,54 @@ fn creep_before_the_first_reading_is_in_its_interval() {
         assert!(to - from < 0.003 && from < 0.0205 && 0.0195 < to, "{moment}: {from} to {to}");
     }
 }
+
+/// Four ways up and down, with a closed loop and a drift: the first step of the search takes the loop for a gradual one, since it sees the drift as noise.
+#[test]
+fn a_loop_beside_a_drift_is_found_by_its_own_law() {
+    let record = |seed: u64, rate: f64| {
+        let mut n = noise(seed);
+        let row = |k: usize| {
+            let step = k % 16;
+            let (x, way) =
+                if step <= 8 { (20.0 * step as f64, 1.0) } else { (20.0 * (16 - step) as f64, -1.0) };
+            let (u, t_s) = (x / 160.0, 45.0 * k as f64);
+            let loop_mv = -0.16 * way * u * (1.0 - u);
+            (x, 0.1 + 0.05 * x + loop_mv + rate * t_s + 0.006 * n(), None, Vec::new(), Some(t_s))
+        };
+        linear((0..65).map(row).collect())
+    };
+    let mut right = [0; 2];
+    for seed in 0..8 {
+        let both = record(seed, 1.5e-5);
+        let mut found = names(&both);
+        found.sort_unstable();
+        right[0] += usize::from(found == ["drift", "hysteresis"]);
+        // What is stated belongs to one model: no error of readings left out lies below what repeats differ by.
+        let after = both.document.after.as_ref().unwrap().rmse["response_rmse"];
+        assert!(
+            after > 0.6 * both.document.noise_floor.response.unwrap(),
+            "{seed}: {}",
+            both.document.reason
+        );
+        // Control: a loop alone.
+        right[1] += usize::from(names(&record(seed, 0.0)) == ["hysteresis"]);
+    }
+    println!("drift and loop, loop alone: {right:?} of 8");
+    assert!(right[0] >= 7 && right[1] >= 7, "{right:?}");
+}
+
+/// Settings that lie on the digits of a coarse read-out repeat without scatter; what lies between is rounded all the same.
+#[test]
+fn predictions_of_a_rounded_read_out_hold_its_rounding() {
+    let width = |digits: f64| {
+        let mut n = noise(3);
+        let row = |k: usize| {
+            let x = (k % 11) as f64;
+            (x, ((0.3 * x + 0.01 * n()) * digits).round() / digits, None, Vec::new(), None)
+        };
+        linear((0..44).map(row).collect()).model.unwrap().variance.sqrt()
+    };
+    // Uniform within a digit of 0.1; control: fine digits leave the noise.
+    assert!((width(10.0) - 0.1 / 12f64.sqrt()).abs() < 2e-3, "{}", width(10.0));
+    assert!((0.007..0.013).contains(&width(1e4)), "{}", width(1e4));
+}

@@ -104,6 +104,7 @@ impl ArcDensity {
                 let first = edges.partition_point(|e| *e < cell.from_mm - SAME_MM);
                 let end_mm = cell.to_mm + SAME_MM;
                 let within = cells.iter_mut().skip(first).take_while(|c| c.to_mm <= end_mm);
+                // Density is constant in a cell: its parts have mass in proportion to their length.
                 let share = weight * cell.probability / (cell.to_mm - cell.from_mm).max(f64::MIN_POSITIVE);
                 within.for_each(|c| c.probability += share * (c.to_mm - c.from_mm));
             }

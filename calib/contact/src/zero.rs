@@ -78,6 +78,7 @@ impl Zero {
         // An error that all readings share cancels as far as the free ones have it, too.
         let less = |(h, sum): (&[f64; 2], &Vector2<f64>)| (Vector2::from(*h) - sum / self.count).into();
         let shared_nmm: Vec<[f64; 2]> = m.shared_nmm.iter().zip(&self.shared_nmm).map(less).collect();
+        // White noise of the mean falls as 1 / n; drift enters twice, at the zero and at the reading.
         let zero_nmm2 = m.own_nmm2.unwrap_or(m.pose_nmm2) / self.count + m.drift_nmm2 * 2.0;
         Moments { moment_nmm, shared_nmm, zero_nmm2, ..m }
     }
@@ -102,6 +103,7 @@ pub(crate) fn steady(moments_nmm: &[Vector2<f64>], noise_nmm: f64) -> Option<Ste
     bends.sort_by(f64::total_cmp);
     let quiet = (bends[bends.len() / 4] / CHI2_QUARTER).sqrt();
     let limit_nmm = FREE_SDS * quiet.max(noise_nmm).max(MIN_NOISE_NMM);
+    // The median of the first few withstands a gross reading.
     let middle = |c: usize| median(moments_nmm[..MIN_FREE].iter().map(|m| m[c]));
     let middle = Vector2::new(middle(0)?, middle(1)?);
     let count = moments_nmm.iter().take_while(|m| (*m - middle).norm() <= limit_nmm).count();

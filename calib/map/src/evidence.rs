@@ -95,11 +95,13 @@ impl TrendNull {
 
 impl Contrasts {
     fn new(null: &TrendNull, kernel: &Kernel, inputs: &[[f64; 2]], y: &[f64]) -> Self {
+        // Orthonormal contrasts: their likelihood is the restricted one, up to a constant in the hyperparameters.
         let projected = null.project_matrix(kernel.matrix(inputs));
         let y = null.project_vector(y);
         if y.len() < 2 {
             return Self { diagonal: projected.diagonal(), off: DVector::zeros(0), y };
         }
+        // Adding nu I leaves V as it is: one reduction serves every noise ratio.
         let (q, diagonal, off) = SymmetricTridiagonal::new(projected).unpack();
         Self { diagonal, off, y: q.tr_mul(&y) }
     }
@@ -127,6 +129,7 @@ impl Contrasts {
 /// -1/2 [n ln(2 pi s2) + n + ln det] with s2 = square / n.
 fn profiled(n: usize, square: f64, log_det: f64) -> f64 {
     let free = n as f64;
+    // Floored: a trend that interpolates the readings leaves no variance.
     let variance = (square / free).max(f64::MIN_POSITIVE);
     -0.5 * (free * ((2.0 * std::f64::consts::PI * variance).ln() + 1.0) + log_det)
 }
@@ -135,6 +138,7 @@ fn profiled(n: usize, square: f64, log_det: f64) -> f64 {
 pub fn log_evidence(model: &ProcessModel, inputs: &[[f64; 2]], y: &[f64]) -> Option<f64> {
     let null = TrendNull::new(model.trend, inputs);
     if model.kernel == Kernel::None {
+        // Without a kernel C = nu I, whose determinant is nu^n'.
         let free = null.project_vector(y);
         let log_det = free.len() as f64 * model.nugget.ln();
         return Some(profiled(free.len(), free.norm_squared() / model.nugget, log_det));
@@ -189,6 +193,7 @@ pub fn choose_hyperparameters(
 
 /// Largest value on a grid of `steps` points, refined by golden section between its neighbours.
 fn maximise(mut f: impl FnMut(f64) -> f64, range: [f64; 2], steps: usize, refinements: usize) -> (f64, f64) {
+    // The likelihood may have several maxima: the grid chooses one, golden section refines it.
     let spacing = (range[1] - range[0]) / (steps.max(2) - 1) as f64;
     let mut best = (range[0], f64::NEG_INFINITY);
     for i in 0..steps.max(2) {

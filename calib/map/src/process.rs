@@ -119,6 +119,7 @@ impl Process {
             None => DVector::zeros(0),
         };
         let whitened = &yt - &factor.g * &beta;
+        // C^-1 (y - H b) = L^-T times the whitened residual: C is not inverted.
         let alpha = factor.l.tr_solve_lower_triangular(&whitened).ok_or(lost)?;
         // Restricted estimate: each coefficient of the trend takes a degree of freedom.
         let free = (readings - terms) as f64;
@@ -162,8 +163,10 @@ impl Process {
             .l
             .solve_lower_triangular(&DMatrix::identity(n, n))
             .unwrap_or_else(|| DMatrix::zeros(n, n));
+        // P in full: one O(n^3) product serves every group's block.
         let mut p = linv.transpose() * &linv;
         if let Some(a) = &self.factor.a {
+            // C^-1 H = L^-T G: what refitting the trend takes off.
             let b = linv.transpose() * &self.factor.g;
             p -= &b * a.solve(&b.transpose());
         }

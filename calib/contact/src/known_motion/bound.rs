@@ -69,6 +69,7 @@ fn slopes(path: &ContactPath<'_>, state: &State) -> Option<DMatrix<f64>> {
         let all = path.moments(&moved(state, k, step))?;
         Some(DVector::from_iterator(2 * all.len(), all.into_iter().flatten()))
     };
+    // Central differences err by O(h^2), one-sided ones by O(h): the latter only at the edge of the equilibria.
     let column = |k: usize| match (moments(k, -STEP_MM), moments(k, STEP_MM)) {
         (Some(a), Some(b)) => Some((b - a) / (2.0 * STEP_MM)),
         (Some(a), None) => Some((moments(k, 0.0)? - a) / STEP_MM),
@@ -110,6 +111,7 @@ fn covariance(path: &ContactPath<'_>, settings: &Settings, state: &State) -> Opt
         }
         all.view_mut((2 * k, 2 * k), (2, 2)).copy_from(&own);
     }
+    // First-order Gauss-Markov part: its covariance falls as exp(-|dt| / tau); the white part is on the diagonal alone.
     if let Some(CorrelatedNoise::InTime { variance_share, time_constant_s }) = settings.correlated {
         let factors =
             rows.iter().map(|r| Some(r.noise_nmm2.cholesky()?.l())).collect::<Option<Vec<Matrix2<f64>>>>()?;
@@ -120,6 +122,7 @@ fn covariance(path: &ContactPath<'_>, settings: &Settings, state: &State) -> Opt
             all.view_mut((2 * l, 2 * k), (2, 2)).copy_from(&block.transpose());
         }
     }
+    // Common unknowns of unit variance, marginalised: each adds a rank-one term to S.
     Some(all + &columns * columns.transpose())
 }
 

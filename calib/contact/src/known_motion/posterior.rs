@@ -58,6 +58,7 @@ pub struct Posterior {
 impl Posterior {
     /// Of nodes by arc length whose masses are not normalised yet.
     pub(crate) fn of_nodes(mut nodes: Vec<Node>, creep_sd: f64) -> Self {
+        // Logarithms relative to the largest: the exponentials neither overflow nor all underflow.
         let best = nodes.iter().map(|n| n.ln).fold(f64::NEG_INFINITY, f64::max);
         let places: Vec<f64> = nodes.iter().map(|n| n.state.s_mm).collect();
         let last = nodes.len().saturating_sub(1);
@@ -128,6 +129,7 @@ impl Posterior {
             let Some((touch, across)) = path.touch(&n.state) else { continue };
             let mut at = path.carried(&(touch - path.push * n.state.onset_mm), row);
             let axes = Matrix3x2::from_columns(&[-path.push, across]);
+            // The place is linear in onset and gap: its covariance follows from dP/d(x, g), turned as the point is.
             let turn = path.turned(row).matrix() * axes;
             let mut covariance = turn * n.covariance_mm2 * turn.transpose();
             // The point has gone on by its share of the way, which the readings tell together with the onset.
@@ -137,6 +139,7 @@ impl Posterior {
                 covariance += way * creep.covariance * way.transpose() + both + both.transpose();
             }
             mean += at * n.mass;
+            // Mixture over the grid: second moments add; the square of the overall mean comes off below.
             square += (covariance + at * at.transpose()) * n.mass;
             // Held where the point is past first touch: the share of the onset's normal distribution.
             let sd = n.covariance_mm2[(0, 0)].max(1e-18).sqrt();
@@ -174,6 +177,7 @@ fn threshold(nodes: &[Node]) -> f64 {
     let above =
         |t: f64| nodes.iter().zip(&peaks).map(|(n, peak)| n.mass * (1.0 - t / peak).max(0.0)).sum::<f64>();
     let (mut low, mut high) = (0.0, peaks.iter().copied().fold(0.0, f64::max));
+    // The mass above a level falls monotonically with the level: bisection cannot fail.
     for _ in 0..60 {
         let middle = 0.5 * (low + high);
         if above(middle) > REGION { low = middle } else { high = middle }

@@ -87,6 +87,7 @@ impl Normal {
 
     /// Adds `weight (r + J dx + K dc)^2` to the sum; J of the unknowns from `first` on, K of the first common ones.
     pub fn add(&mut self, weight: f64, r: f64, first: usize, j: &[f64], k: &[f64]) {
+        // Gauss-Newton: J' w J and -J' w r; the chain's matrix is symmetric, so that its lower triangle is enough.
         for (a, va) in j.iter().enumerate() {
             self.right[first + a] -= weight * va * r;
             for (b, vb) in j[..=a].iter().enumerate() {
@@ -111,7 +112,9 @@ impl Normal {
         let mut band = self.band.clone();
         let n = band.len();
         for i in 0..n {
+            // Marquardt's scaling: damping relative to the diagonal does not depend on the unknowns' units.
             *band.at(i, i) = *band.at(i, i) * (1.0 + damping) + 1e-12;
+            // Cholesky's factor of a band has no fill outside the band: O(n width^2).
             for j in band.first(i)..=i {
                 let from = band.first(i);
                 let sum: f64 =
@@ -139,6 +142,7 @@ impl Normal {
 
     /// By how much the sum would fall in the step to its least.
     pub fn gain(&self, by: &Factored) -> f64 {
+        // At the minimum of a quadratic form without damping the fall is g' A^-1 g.
         let (step, common) = self.step(by);
         self.right.dot(&step) + self.right_common.dot(&common)
     }
@@ -147,6 +151,7 @@ impl Normal {
     pub fn step(&self, by: &Factored) -> (DVector<f64>, DVector<f64>) {
         let mut free = self.right.clone();
         by.band.solve(free.as_mut_slice(), 0);
+        // Block elimination: common unknowns from the Schur complement, then the chain.
         let common = &by.corner * (&self.right_common - self.border.tr_mul(&free));
         (free - &by.solved * &common, common)
     }
@@ -155,6 +160,7 @@ impl Normal {
 impl Factored {
     /// Logarithm of the determinant.
     pub fn ln_determinant(&self) -> f64 {
+        // det = det A det S; `corner` holds S^-1, hence the minus.
         let last = self.band.width - 1;
         let diagonal = (0..self.band.len()).map(|i| self.band.entries[(i + 1) * last + i]);
         2.0 * diagonal.map(f64::ln).sum::<f64>() - self.corner.determinant().ln()
@@ -164,6 +170,7 @@ impl Factored {
     pub fn covariance(&self, from: usize, count: usize) -> DMatrix<f64> {
         let mut all = DMatrix::zeros(count, count);
         for k in 0..count {
+            // A column of A^-1: its right-hand side is zero before `from`, where forward substitution can start.
             let mut unit = vec![0.0; self.band.len()];
             unit[from + k] = 1.0;
             self.band.solve(&mut unit, from);

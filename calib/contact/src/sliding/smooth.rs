@@ -107,10 +107,12 @@ const TURN_TAILS: f64 = 1.0;
 pub(super) fn ln_evidence(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
     let turns = found.x.windows(2).map(|w| (w[1][2] - w[0][2] + PI).rem_euclid(TAU) - PI);
     let turns: Vec<f64> = turns.map(|turn| (turn / TURN_RAD).powi(2)).collect();
+    // A Gaussian of precision w integrates to sqrt(2 pi / w): w = 1 / (2 pi) stands for a turn, 2 pi / L^2 for L.
     let factored = |kinds: &[Kind]| {
         let mut normal = chain.linearise(&found.x, &found.common, Common::Free, kinds);
         normal.add(1.0 / TAU, 0.0, 2, &[1.0], &[]);
         for (k, turn2) in turns.iter().enumerate() {
+            // Student's t as a reweighted square, weight (nu + 1) / (nu + u^2), as in iteratively reweighted least squares.
             let weight = (TURN_TAILS + 1.0) / (TURN_TAILS + turn2) / TURN_RAD.powi(2);
             normal.add(weight, 0.0, STATE * k + 2, &[-1.0, 0.0, 0.0, 0.0, 0.0, 1.0], &[]);
         }

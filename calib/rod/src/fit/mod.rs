@@ -266,6 +266,7 @@ fn independent(
     };
     let all = product(0);
     let longest = lines.iter().map(Vec::len).max().unwrap_or(0);
+    // Cut at the first lag of little correlation: estimates at long lags are noise that would add up.
     let correlations = (1..longest).map(|lag| product(lag) / all).take_while(|c| *c > UNCORRELATED);
     // Integrated correlation: so many neighbours count as one observation.
     let span = 1.0 + 2.0 * correlations.sum::<f64>();

@@ -31,6 +31,7 @@ impl Rod {
         if self.weight_n_per_mm.norm() > 0.0 {
             return None;
         }
+        // EI / s^2 is the scale of forces that bend a rod of length s strongly: unknowns and equations of one order.
         let force_scale_n = self.section.ei_nmm2 / equilibrium.arclength_mm.max(1.0).powi(2);
         let (_, jacobian, _) = self.equations(
             &equilibrium.point_mm,
@@ -58,6 +59,7 @@ impl Rod {
             let end = to_arclength(&self.section, &self.shape, self.root(&load), &load, s, |_, _| {});
             let offset = Vector3::from(end.position) - point_mm;
             let tangent = Vector3::new(end.frame[0][0], end.frame[1][0], end.frame[2][0]);
+            // Frictionless contact: the force has no component along the wire.
             let along = force.dot(&tangent) / anchor.force_scale_n;
             let residual = Vector4::new(offset.x, offset.y, offset.z, along);
             let size = residual.norm();
@@ -81,6 +83,7 @@ impl Rod {
                 // Sherman-Morrison form of the secant update; the step was taken with a minus.
                 let image = inverse * (residual - residual_before);
                 let along_step = step.dot(&image);
+                // A vanishing denominator would make the update singular: the last inverse is kept.
                 if along_step.abs() > 1e-12 * step.norm_squared() {
                     inverse += (-step - image) * (-step).transpose() * inverse / -along_step;
                 }

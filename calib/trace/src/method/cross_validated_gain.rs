@@ -44,6 +44,7 @@ fn left_out_squares(system: &dyn MeasurementModel, fit: &Fit) -> Option<BTreeMap
     let of_group = |(group, rows): (&u32, &Vec<usize>)| {
         let (own, r) = (jacobian.select_rows(rows), residual.select_rows(rows));
         let without = (&whole - transposed_product(&own, &own)).cholesky()?;
+        // e_g of the module's head: no refit is needed, which is exact for the tangent model.
         let left_out = &r + &own * without.solve(&own.tr_mul(&r));
         Some((*group, left_out.norm_squared()))
     };
@@ -58,6 +59,7 @@ fn gain(system: &dyn MeasurementModel, with: &Fit, without: &Fit) -> Option<(f64
     }
     let each: Vec<f64> = a.iter().zip(&b).map(|(x, y)| (x.1 - y.1) / with.variance()).collect();
     let (count, sum) = (each.len() as f64, each.iter().sum::<f64>());
+    // Groups count as independent: the variance of their sum is their number times the sample variance.
     let spread = each.iter().map(|g| (g - sum / count).powi(2)).sum::<f64>() / (count - 1.0);
     Some((sum, (count * spread).sqrt()))
 }

@@ -43,6 +43,7 @@ impl DeletionDiagnostics {
         let q =
             nalgebra::DMatrix::from_fn(own.len(), self.basis.rank(), |k, j| self.basis.vectors()[j][own[k]]);
         let e = DVector::from_iterator(own.len(), own.iter().map(|&k| self.residual[k]));
+        // In the eigenbasis of Q_L' Q_L the inverse of the module's head is diagonal, and its singular directions show.
         let eigen = (q.transpose() * &q).symmetric_eigen();
         let along = eigen.eigenvectors.transpose() * (q.transpose() * &e);
         let (mut fall, mut rank) = (e.norm_squared(), 0.0);
@@ -62,6 +63,7 @@ pub fn influential_set(with: &Fit, without: &Fit, sets: &[Vec<usize>]) -> Option
     let values = with.dof + rich.basis.rank() as f64;
     sets.iter().position(|set| {
         let (a, b) = (rich.without(set), plain.without(set));
+        // Where the deletion takes the term's only direction, the term rests on the set alone.
         let extra = a.rank - b.rank;
         let dof = values - (set.len() * rich.channels) as f64 - b.rank;
         extra < 0.5 || dof - extra < 0.5 || f_test(b.ssr - a.ssr, b.ssr, dof, extra as usize) >= DELETION

@@ -21,10 +21,12 @@ use wcal_core::least_squares::{
 
 /// Coefficients and residual of `y` on `design` by Householder QR on scaled columns.
 pub(crate) fn linear(design: &DMatrix<f64>, y: &DMatrix<f64>) -> (DMatrix<f64>, DMatrix<f64>, bool) {
+    // Columns in units of their norm: one threshold on R's diagonal then judges rank, whatever the parameters' units.
     let scale: Vec<f64> = design.column_iter().map(|c| c.norm()).collect();
     let scaled = DMatrix::from_fn(design.nrows(), design.ncols(), |i, j| {
         if scale[j] > 0.0 { design[(i, j)] / scale[j] } else { 0.0 }
     });
+    // QR, not the normal equations, which would square the condition number.
     let qr = scaled.clone().qr();
     let (q, r) = (qr.q(), qr.r());
     let qty = q.transpose() * y;
@@ -97,6 +99,7 @@ fn step_size(system: &dyn MeasurementModel, term: &EffectTerm, k: usize) -> f64 
     match p.role {
         Role::Amplitude { probe } => 0.02 * probe.abs().max(0.1 * term.values[k].abs()),
         Role::Shape { grid } => {
+            // A shape acts over its grid's spacing: a wider step would average over the curvature.
             let plain = 0.01 * term.values[k].abs().max(1e-3 * (p.range[1] - p.range[0]));
             plain.min(0.02 * grid_spacing(grid, term.values[k]))
         }
@@ -117,6 +120,7 @@ fn tangents(
         .iter()
         .map(|&(t, k)| {
             let p = system.catalogue()[terms[t].effect].law(terms[t].law).parameters[k];
+            // One-sided difference, backwards at the upper bound: a law holds only within its bounds.
             let mut h = step_size(system, &terms[t], k);
             if terms[t].values[k] + h > p.range[1] {
                 h = -h;
@@ -172,6 +176,7 @@ impl FitPoint<'_> {
                 }),
                 descent: DVector::from_fn(m, |i, _| columns[i].dot(&r)),
             };
+            // Active set: at a bound only steps into the interior are admissible.
             let may = slots(&self.terms)
                 .into_iter()
                 .map(|(t, k)| {
@@ -220,6 +225,7 @@ pub fn fit(
     let moved = |terms: &Vec<EffectTerm>, _: &FitPoint<'_>, step: &DVector<f64>| {
         let mut moved = terms.clone();
         for (&(t, k), d) in index.iter().zip(step.iter()) {
+            // A step across a bound is projected onto it: the feasible set is a box.
             let [low, high] = range(system, terms, (t, k));
             moved[t].values[k] = (terms[t].values[k] + d).clamp(low, high);
         }
@@ -254,6 +260,7 @@ pub fn fit(
     let channels = y.ncols() as f64;
     let seen = system.auxiliary_readings();
     let witness_count = seen.iter().filter(|i| weights.counts(**i)).count();
+    // Each channel's coefficients and each nonlinear parameter take one degree of freedom (linearised model).
     let used = here.design.ncols() as f64 * channels + index.len() as f64;
     Some(Fit {
         dof: weights.active() as f64 * channels + witness_count as f64 - used,

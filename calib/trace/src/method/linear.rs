@@ -1,4 +1,9 @@
 //! Orthonormal bases and projections in the space of all readings and channels.
+//!
+//! ```text
+//! q = (I - Q Q') v / |(I - Q Q') v|            Gram-Schmidt, applied twice
+//! D'D = R'R,   Q' v = R^-T D' v                pivoted Cholesky, on the independent directions
+//! ```
 
 use nalgebra::{DMatrix, DVector};
 
@@ -29,6 +34,7 @@ impl Basis {
     /// `v` less its part in the basis.
     pub fn project_off(&self, v: &DVector<f64>) -> DVector<f64> {
         let mut out = v.clone();
+        // Twice is enough: the second pass restores orthogonality to working precision (Kahan, in Parlett 1980).
         for _ in 0..2 {
             for q in &self.vectors {
                 let along = q.dot(&out);
@@ -134,6 +140,7 @@ impl JointSpan {
 
     /// Coordinates of the parts of `vectors` in the span.
     pub fn coordinates(&self, vectors: &DMatrix<f64>) -> DMatrix<f64> {
+        // With D = Q R on the pivots, Q' v = R^-T D' v: Q itself is never formed.
         let along = transposed_product(&self.directions, vectors).select_rows(&self.independent);
         let triangle = self.factor.select_columns(&self.independent);
         triangle.transpose().solve_lower_triangular(&along).unwrap_or(along)

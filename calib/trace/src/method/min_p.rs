@@ -1,4 +1,9 @@
 //! What chance alone would give: min-p over all signatures under white Gaussian noise, simulated in their joint span.
+//!
+//! ```text
+//! F = (gain / d) / ((S - gain) / (dof - d)),   p = P(F_(d, dof - d) > F)
+//! draw: S = |z|^2 + chi^2_(dof - rank),        gain = |D' z|^2 with z ~ N(0, I) in the joint span, D a signature's directions
+//! ```
 
 use super::distributions::f_tail;
 use super::linear::JointSpan;
@@ -18,6 +23,7 @@ pub fn f_test(gain: f64, ssr: f64, dof: f64, d: usize) -> f64 {
     if gain <= 0.0 || left < 1.0 {
         return 1.0;
     }
+    // The residual of the larger model estimates the variance: F(d, dof - d) under the null of Gaussian noise.
     let f = (gain / d) / ((ssr - gain).max(1e-12 * ssr) / left);
     if !f.is_finite() {
         return if f == f64::INFINITY { 1e-300 } else { 1.0 };
@@ -27,6 +33,7 @@ pub fn f_test(gain: f64, ssr: f64, dof: f64, d: usize) -> f64 {
 
 /// p-value of an signature on a residual; one-sided laws use half the F tail.
 pub fn signature_p(signature: &Signature, gain: f64, ssr: f64, dof: f64) -> f64 {
+    // Under the null either sign is equally likely, and one of them is not admissible: half the tail is left.
     let p = f_test(gain, ssr, dof, signature.dimension());
     if signature.one_sided { 0.5 * p } else { p }
 }
@@ -62,6 +69,7 @@ impl MinPDistribution {
             // Projections of each draw (a column) on every direction, and its sum of squares.
             let (along, ssr): (DMatrix<f64>, Vec<f64>) = match &heavy {
                 None => {
+                    // White Gaussian noise is isotropic: N(0, 1) along each basis vector, chi-squared in the rest, independently.
                     let mut z = DMatrix::zeros(rank, count);
                     let mut ssr = Vec::with_capacity(count);
                     for mut column in z.column_iter_mut() {
@@ -75,6 +83,7 @@ impl MinPDistribution {
                     let mut whole = DMatrix::zeros(size, count);
                     whole.iter_mut().for_each(|v| *v = t.sample(&mut rng));
                     let z = span.coordinates(&whole);
+                    // The draw fills the nuisance space, too: its rest is scaled to the residual's degrees of freedom.
                     let scale = rest / (size as f64 - rank as f64).max(1.0);
                     let ssr = (0..count).map(|k| {
                         let inside = z.column(k).norm_squared();
@@ -121,9 +130,11 @@ impl MinPDistribution {
             return 1.0;
         }
         let below = self.minima.partition_point(|m| *m <= p);
+        // Monte Carlo p-value with the observed value counted as a draw: it is never zero. Ten draws make it stable.
         if below >= 10 {
             return (below as f64 + 1.0) / (draws as f64 + 1.0);
         }
+        // Sidak at small p: 1 - (1 - p)^M is about M p, with M from the 2 % quantile of the simulated minima.
         let k = (draws / 50).max(1);
         let tests = ((k as f64 + 1.0) / (draws as f64 + 1.0)) / self.minima[k - 1].max(1e-300);
         (p * tests.max(1.0)).min((below as f64 + 1.0) / (draws as f64 + 1.0))

@@ -112,6 +112,7 @@ pub fn signatures_of_effect(
                     }
                 }
             }
+            // Null on the boundary: only one sign of the amplitude is admissible (Chernoff 1954).
             let one_sided = law.linear.is_empty()
                 && amplitudes.len() == 1
                 && law.parameters[amplitudes[0].0].range[0] >= 0.0;

@@ -79,6 +79,7 @@ pub fn restricted_likelihood(model: &MeanModel, weights: &Weights) -> Option<Res
     let gram = (x.transpose() * &x) + DMatrix::identity(q, q) * RIDGE;
     let chol = gram.cholesky()?;
     let log_det: f64 = chol.l_dirty().diagonal().iter().map(|v| 2.0 * v.ln()).sum();
+    // Projection off the design, I - X (X'X)^-1 X': the linear coefficients are refitted at every theta.
     let off = |m: &DMatrix<f64>| m - &x * chol.solve(&(x.transpose() * m));
     let r = off(&y);
     let mut log_x = channels as f64 * (log_det + log_scale);
@@ -88,6 +89,7 @@ pub fn restricted_likelihood(model: &MeanModel, weights: &Weights) -> Option<Res
     let live: Vec<&DMatrix<f64>> = tangents.iter().filter(|t| t.norm_squared() > 1e-200).collect();
     let m = live.len();
     if m > 0 {
+        // The determinant of X'X factorises: tangents enter by their part off the design (Schur complement).
         let size: Vec<f64> = live.iter().map(|t| t.norm()).collect();
         let small = DMatrix::from_fn(m, m, |a, b| live[a].dot(live[b]) / (size[a] * size[b]))
             + DMatrix::identity(m, m) * RIDGE;
@@ -102,6 +104,7 @@ pub fn restricted_likelihood(model: &MeanModel, weights: &Weights) -> Option<Res
     if !(dof >= 1.0 && ssr > 0.0) {
         return None;
     }
+    // Channels share one covariance of the readings: its determinant counts once for each.
     let log_sigma = channels as f64 * weights.log_determinant();
     Some(RestrictedLikelihood {
         ssr,
@@ -122,6 +125,7 @@ pub(super) fn pattern_search<const K: usize>(
 ) -> ([f64; K], f64) {
     let (mut at, mut step) = (start, step);
     let mut best = f(&at);
+    // Compass search needs no derivatives; seven rounds take the step down to 1/64 of the first.
     for _ in 0..7 {
         let mut moved = true;
         let mut rounds = 0;
@@ -175,6 +179,7 @@ pub(super) fn studentised_by_channel(
     let y = weights.apply(model.residual);
     let r = &y - &x * chol.solve(&(x.transpose() * &y));
     let hat = chol.solve(&x.transpose());
+    // var(r_i) = s^2 (1 - h_ii), h the hat matrix of the linear columns; floored where a reading determines itself.
     let leverage = |i: usize| (x.row(i) * hat.column(i))[(0, 0)];
     let of = |i: usize| {
         let left = (1.0 - leverage(i)).max(0.05).sqrt();

@@ -69,9 +69,11 @@ fn likelihood(nu: f64, z: &[f64], censored: usize) -> (f64, f64) {
         let body: f64 = if nu.is_infinite() {
             -0.5 * z.iter().map(|v| v * v).sum::<f64>() / (sigma * sigma)
         } else {
+            // ln(1 + z^2 / (nu sigma^2)) by ln_1p: at large nu the sum would lose the small term.
             let inverse = 1.0 / (nu * sigma * sigma);
             -0.5 * (nu + 1.0) * z.iter().map(|v| (v * v * inverse).ln_1p()).sum::<f64>()
         };
+        // Type II censoring: of the k largest only that they exceed c is used.
         let tail = if censored == 0 {
             0.0
         } else {
@@ -176,6 +178,7 @@ pub fn extreme_values(residuals: &[f64], most: usize, level: f64) -> Option<Extr
         let (mut sum, mut whole) = (0.0, 0.0);
         for (nu, (log_likelihood, scale)) in fits {
             let single = two_sided_tail(nu, largest / scale).clamp(0.0, 1.0);
+            // Relative to the best: the exponentials cannot all underflow.
             let weight = (log_likelihood - best).exp();
             sum += weight * Binomial::new(single, n as u64).map_or(1.0, |b| b.sf(k as u64 - 1));
             whole += weight;

@@ -135,6 +135,7 @@ impl Weights {
             let pose = if s.posed[i] { s.pose } else { 0.0 };
             s.correlated.map_or(0.0, |c| c[0] * c[0]) + pose * pose
         });
+        // A new pose at a distant time shares nothing with the readings: variances add.
         (own * own + shared).sqrt()
     }
 
@@ -179,6 +180,7 @@ impl Weights {
 
     /// Logarithm of the determinant of the covariance of the readings that count, `s` = 1.
     pub fn log_determinant(&self) -> f64 {
+        // Whitening is triangular: the determinant is the product of the innovations' variances.
         if self.shared.is_some() {
             self.filter.iter().filter(|f| f.scale > 0.0).map(|f| -2.0 * f.scale.ln()).sum()
         } else {

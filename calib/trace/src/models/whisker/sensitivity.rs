@@ -121,9 +121,11 @@ fn response_p(y: &[DVector<f64>], load: &[DVector<f64>], from: usize, dof: f64) 
     if y.len() <= from {
         return Some(1.0);
     }
+    // Of orthonormal bases, canonical correlations are the singular values of Q_y' Q_m (Bjorck & Golub 1973).
     let cross = DMatrix::from_fn(y.len(), load.len(), |a, b| y[a].dot(&load[b]));
     let rho = cross.singular_values();
     let (p, q) = (y.len() as f64, load.len() as f64);
+    // Wilks' Lambda of the remaining correlations; Bartlett's factor brings it near chi-squared in small samples.
     let left: f64 = rho.iter().skip(from).map(|r| (1.0 - r * r).max(1e-300).ln()).sum();
     let statistic = -(dof - (p + q + 1.0) / 2.0) * left;
     let free = (p - from as f64) * (q - from as f64);

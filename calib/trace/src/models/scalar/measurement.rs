@@ -96,6 +96,11 @@ impl SessionText for ScalarSystem {
     }
 
     fn caveat(&self, accepted: &Hypothesis) -> Option<String> {
+        if parameters::zeros(self, &accepted.fit) == Some(2) {
+            return Some(
+                "The zero of a further series is known from two alone: intervals of predictions hold it, 13 times as wide as from many.".to_owned(),
+            );
+        }
         let s = stationarity(self, accepted).filter(|s| s.z > UNSTEADY)?;
         Some(format!(
             "The frequency is not steady: {:.3} +- {:.3} cycles over the range by the first half, {:.3} +- {:.3} by the second.",
@@ -113,12 +118,7 @@ impl SessionText for ScalarSystem {
 
     fn cautions(&self, accepted: &Hypothesis) -> Vec<String> {
         let limits = self.limits.iter().map(|l| l.sentence(&self.names.response));
-        let of_two = parameters::zeros(self, &accepted.fit).filter(|zeros| *zeros == 2).map(|_| {
-            "the zero of a further series is known from two alone: intervals of predictions hold it, 13 times as wide as from many. Measure further \
-             series, or predict differences within one."
-                .to_owned()
-        });
-        limits.chain(untested(self, accepted)).chain(of_two).collect()
+        limits.chain(untested(self, accepted)).collect()
     }
 
     fn notes(&self, _found: &SearchResult, accepted: &Hypothesis) -> Vec<String> {

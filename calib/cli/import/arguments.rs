@@ -4,7 +4,7 @@ use crate::output::Overwrite;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use wcal_core::TransducerModel;
-use wcal_session::{Separator, TextTableLayout, WHISKER_COLUMNS, column_name};
+use wcal_session::{Separator, TextTableLayout, WHISKER_COLUMNS, asked_name, column_name};
 
 /// Columns of a sweep that tell its header.
 const SWEEP_COLUMNS: [&str; 3] = ["t_s", "fbg_1_nm", "fbg_2_nm"];
@@ -168,7 +168,7 @@ pub(super) fn layout(args: &ImportArgs) -> TextTableLayout {
         Kind::Whisker => &WHISKER_COLUMNS,
         Kind::Sweep => &SWEEP_COLUMNS,
     };
-    let asked = named.map(|column| split_factor(column).0).chain(known.iter().copied());
+    let asked = named.flat_map(|column| [column, asked_name(column)]).chain(known.iter().copied());
     TextTableLayout {
         skip_lines: args.skip_lines,
         columns: args.columns.clone(),
@@ -176,10 +176,4 @@ pub(super) fn layout(args: &ImportArgs) -> TextTableLayout {
         decimal_comma: args.decimal_comma,
         asked: Some(asked.map(column_name).collect()),
     }
-}
-
-/// A column and the factor that its cells are multiplied by, as `COL*FACTOR`.
-pub(super) fn split_factor(text: &str) -> (&str, Option<f64>) {
-    let parts = text.rsplit_once('*').map(|(name, factor)| (name.trim(), factor.trim().parse::<f64>().ok()));
-    parts.filter(|(_, factor)| factor.is_some()).unwrap_or((text, None))
 }

@@ -98,9 +98,22 @@ pub(crate) fn is_missing(cell: &str) -> bool {
         || MISSING.contains(&&*word)
 }
 
+/// Whether a cell holds a negative number as bookkeepers write it: `(300)`, or `300-`.
+pub(crate) fn is_accounted(cell: &str) -> bool {
+    let inner = cell.strip_prefix('(').and_then(|c| c.strip_suffix(')')).or_else(|| cell.strip_suffix('-'));
+    inner.is_some_and(|inner| {
+        inner.starts_with(|c: char| c.is_ascii_digit())
+            && inner.chars().all(|c| c.is_ascii_digit() || matches!(c, '.' | ',') || GROUP_MARKS.contains(&c))
+    })
+}
+
 /// A number as Rust reads it: exponents after `D` (Fortran's double precision) with an `E`, no marks between groups of three digits, a
-/// hyphen for the minus sign.
+/// hyphen for the minus sign, also for a bookkeeper's.
 pub(crate) fn plain(cell: &str) -> Cow<'_, str> {
+    if is_accounted(cell) {
+        let number = format!("-{}", cell.trim_matches(['(', ')', '-']));
+        return Cow::Owned(plain(&number).into_owned());
+    }
     let exponent = |c: char| matches!(c, 'd' | 'D');
     let odd = |c: char| exponent(c) || c == '\u{2212}' || GROUP_MARKS.contains(&c);
     if !cell.contains(odd) || cell.contains(|c: char| c.is_alphabetic() && !exponent(c)) {

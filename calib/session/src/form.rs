@@ -1,6 +1,6 @@
 //! The form of a table of another program: where its header and its rows are, and which lines are neither.
 
-use crate::cell::{Content, content, name_of};
+use crate::cell::{Content, content, is_accounted, name_of};
 use crate::error::{InputError, listed, quote};
 use crate::quantity::written;
 use crate::separated::{Separator, records};
@@ -80,7 +80,8 @@ pub(crate) struct Form {
     pub(crate) warnings: Vec<String>,
 }
 
-/// Names in a line, the mark of a comment before them left out; empty cells at its end name nothing.
+/// Names in a line, the mark of a comment before them left out; a column without one is called by its place, and empty cells at the end name
+/// nothing.
 fn names(cells: &StringRecord) -> Vec<String> {
     let mut names: Vec<String> = cells.iter().map(name_of).collect();
     // A column may be called # itself.
@@ -91,7 +92,15 @@ fn names(cells: &StringRecord) -> Vec<String> {
     while names.len() > 1 && names.last().is_some_and(String::is_empty) {
         names.pop();
     }
+    for (k, name) in names.iter_mut().enumerate().filter(|(_, name)| name.is_empty()) {
+        *name = by_place(k);
+    }
     names
+}
+
+/// What a column without a name is called.
+pub(crate) fn by_place(index: usize) -> String {
+    format!("column {}", index + 1)
 }
 
 impl Form {
@@ -100,6 +109,7 @@ impl Form {
     pub(crate) fn find(place: &Place<'_>, preamble: &Preamble) -> Result<Self, InputError> {
         let mut all = records(place.text, place.skipped + 1, place.separator);
         let mut form = Self { remarks: preamble.remark.clone().into_iter().collect(), ..Self::default() };
+        let mut unnamed: Vec<String> = Vec::new();
         if let Some(columns) = place.stated {
             form.columns = columns.to_vec();
         } else {
@@ -109,6 +119,8 @@ impl Form {
                 return Err(InputError::new(place.file, "a header line and rows", "an empty file"));
             };
             form.columns = names(&cells);
+            let empty = cells.len() - form.columns.len().min(cells.len());
+            unnamed = (0..empty).map(|k| by_place(form.columns.len() + k)).collect();
             if !all.is_empty() {
                 form.remarks.push(format!(
                     "the header is in line {line}; passed over before it: {} line(s)",
@@ -124,6 +136,14 @@ impl Form {
         }
         form.units.clone_from(&preamble.units);
         form.take(place, all)?;
+        // A column at the end that has cells and no name.
+        let width = form.columns.len();
+        let holds = |k: &usize| {
+            form.rows.iter().any(|(_, cells)| cells.get(width + k).is_some_and(|c| !c.is_empty()))
+        };
+        let count = (0..unnamed.len()).rev().find(holds).map_or(0, |last| last + 1);
+        form.columns.extend(unnamed.into_iter().take(count));
+        form.accounting();
         form.units.resize(form.columns.len(), String::new());
         form.complete(preamble);
         Ok(form)
@@ -134,17 +154,39 @@ impl Form {
         let stated = place.stated.is_some() && place.skipped == 0;
         let numeric = numeric_columns(&all, self.columns.len());
         let (mut again, mut between, mut foot) = (Vec::new(), Vec::new(), Vec::new());
-        let mut parts = vec![Vec::new()];
-        for (line, cells) in all {
-            if is_text(&cells) && self.is_header(&cells) {
-                again.push((line, cells));
+        let mut parts: Vec<Vec<Record>> = vec![Vec::new()];
+        let (mut others, mut elsewhere): (Vec<Vec<Record>>, bool) = (Vec::new(), false);
+        for (k, (line, cells)) in all.iter().enumerate() {
+            let is_own = is_text(cells) && self.is_header(cells);
+            let below = parts.last().is_some_and(|part| part.iter().any(|(_, cells)| !is_text(cells)));
+            if is_own {
+                elsewhere = false;
+                again.push((*line, cells.clone()));
                 parts.push(Vec::new());
                 continue;
             }
-            self.refuse_other_order(place, (line, &cells))?;
-            if let Some(part) = parts.last_mut() {
-                part.push((line, cells));
+            self.refuse_other_order(place, (*line, cells))?;
+            if below && self.heads_another(&all[k..]) {
+                // Without a line between them it may be a remark, and what follows may belong to the table.
+                let apart = k > 0 && all[k - 1].0 + 1 < *line;
+                if !apart && cells.len() == self.columns.len() {
+                    let found = format!("names in place of numbers, {}", quote(&joined(cells)));
+                    let error = InputError::new(place.file, "rows of one table", found).at(*line);
+                    return Err(error.hint("another table? split the file; a remark? begin it with #"));
+                }
+                others.push(Vec::new());
+                elsewhere = true;
             }
+            match others.last_mut().filter(|_| elsewhere) {
+                Some(other) => other.push((*line, cells.clone())),
+                None => parts.last_mut().map_or((), |part| part.push((*line, cells.clone()))),
+            }
+        }
+        for (other, (line, cells)) in others.iter().filter_map(|other| Some((other, other.first()?))) {
+            let (rows, named) = (other.len() - 1, quote(&joined(cells)));
+            self.warnings.push(format!(
+                "another table begins in line {line} ({named}): its {rows} line(s) are not read"
+            ));
         }
         for (k, mut part) in parts.into_iter().enumerate() {
             // Directly below a header a line without any number is no reading: units, or how the values were made.
@@ -181,6 +223,25 @@ impl Form {
 
     fn is_header(&self, cells: &StringRecord) -> bool {
         names(cells) == self.columns
+    }
+
+    /// Whether a line below the rows names the columns of another table: it has a name in each field, and as many fields as the numbers below it.
+    fn heads_another(&self, from: &[Record]) -> bool {
+        let Some(((_, head), below)) = from.split_first() else { return false };
+        let names = head.iter().filter(|cell| content(cell) == Content::Text).count();
+        let rows = below.iter().find(|(_, cells)| self.is_header(cells) || !is_text(cells));
+        names > 1
+            && names == head.len()
+            && rows.is_some_and(|(_, row)| row.len() == names && !self.is_header(row))
+    }
+
+    /// Says numbers in parentheses, which bookkeepers write for negative ones.
+    fn accounting(&mut self) {
+        let mut cells = self.rows.iter().flat_map(|(_, cells)| cells).filter(|cell| is_accounted(cell));
+        if let Some(first) = cells.next() {
+            let count = 1 + cells.count();
+            self.remarks.push(format!("{first} and the like are negative numbers ({count} cells)"));
+        }
     }
 
     /// A line that names all the columns in another order is the header of another table.
@@ -245,9 +306,18 @@ fn numeric_columns(all: &[Record], width: usize) -> Vec<bool> {
     balance.into_iter().map(|balance| balance > 0).collect()
 }
 
-/// A line with text and without any number.
+/// A line with text and without any number, or one that numbers the columns, as forms have it: (1) (2) (3). Where each field begins like a
+/// number, as `300 N`, it is a reading that cannot be read.
 fn is_text(cells: &StringRecord) -> bool {
-    let mut text = false;
+    let mut text =
+        cells.len() > 1 && cells.iter().enumerate().all(|(k, cell)| cell == format!("({})", k + 1));
+    if text {
+        return true;
+    }
+    let held = || cells.iter().filter(|cell| !cell.is_empty());
+    if held().count() > 1 && held().all(begins_like_number) {
+        return false;
+    }
     for cell in cells {
         match content(cell) {
             Content::Value => return false,
@@ -260,10 +330,17 @@ fn is_text(cells: &StringRecord) -> bool {
 
 /// A line that begins with text and is none of the rows: it has text where these have numbers, another number of fields, or the name of a statistic.
 fn misfits(cells: &StringRecord, numeric: &[bool]) -> bool {
-    let first = cells.iter().find(|cell| !cell.is_empty());
-    let begins = first.is_some_and(|cell| content(cell) == Content::Text);
+    let mut held = cells.iter().filter(|cell| !cell.is_empty());
+    let first = held.next();
+    let begins = first.is_some_and(|cell| {
+        content(cell) == Content::Text && !(begins_like_number(cell) && held.all(begins_like_number))
+    });
     let odd = || cells.iter().zip(numeric).any(|(cell, numeric)| *numeric && content(cell) == Content::Text);
     begins && (cells.len() != numeric.len() || odd() || first.is_some_and(is_statistic))
+}
+
+fn begins_like_number(cell: &str) -> bool {
+    cell.trim_start_matches(|c: char| !c.is_alphanumeric()).starts_with(|c: char| c.is_ascii_digit())
 }
 
 /// Names of what is computed of a column and written below it.
@@ -304,6 +381,9 @@ fn lines(records: &[Record]) -> String {
 
 /// The first of some lines as they stand there.
 fn quoted(records: &[Record]) -> String {
-    let cells = records.first().map(|(_, cells)| cells.iter().filter(|c| !c.is_empty()).collect::<Vec<_>>());
-    cells.map_or_else(String::new, |cells| format!(" ({})", quote(&cells.join(", "))))
+    records.first().map_or_else(String::new, |(_, cells)| format!(" ({})", quote(&joined(cells))))
+}
+
+fn joined(cells: &StringRecord) -> String {
+    cells.iter().filter(|cell| !cell.is_empty()).collect::<Vec<_>>().join(", ")
 }

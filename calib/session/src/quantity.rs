@@ -110,7 +110,7 @@ pub fn relation(from: &str, to: &str) -> Relation {
 }
 
 /// The unit in brackets at the end of a column's name: `Force (N)`, `t [ms]`.
-pub fn bracketed(name: &str) -> Option<&str> {
+fn bracketed(name: &str) -> Option<&str> {
     let name = name.trim();
     [('(', ')'), ('[', ']'), ('{', '}'), ('<', '>')].into_iter().find_map(|(open, close)| {
         let (_, unit) = name.strip_suffix(close)?.rsplit_once(open)?;
@@ -118,17 +118,35 @@ pub fn bracketed(name: &str) -> Option<&str> {
     })
 }
 
-/// The unit at the end of a column's name, in brackets or as its last word, where it is of one kind with `to`: `t_ms`, `Zeit in min`, `timeMs`.
+/// The unit that a column's name states: `Force (N)`, `t [ms]`, and as DIN 1313 has it `F / kN` and `F in kN`, where the unit is known.
+pub fn stated_unit(name: &str) -> Option<&str> {
+    let standard = || [" / ", " in "].into_iter().find_map(|mark| Some(name.rsplit_once(mark)?.1.trim()));
+    bracketed(name).or_else(standard).filter(|unit| parsed(unit).is_some())
+}
+
+/// Units that a column's name may end with: `load_kN`, `t_ms`, `elapsed min`, `timeMs`. None where it has brackets, and none that more often is
+/// something else.
+pub fn possible_units(name: &str) -> impl Iterator<Item = &str> {
+    const MARKS: &[char] = &['_', ' ', '-', '.', ',', ':', '\u{a0}'];
+    let last = name.rsplit(MARKS).next().unwrap_or_default();
+    let part = last.rsplit('/').next().unwrap_or_default();
+    let camel =
+        part.rfind(char::is_uppercase).filter(|at| *at > 0 && part[..*at].ends_with(char::is_lowercase));
+    let words = [Some(last), (part != last).then_some(part), camel.map(|at| &part[at..])];
+    let stated = bracketed(name).is_some();
+    words
+        .into_iter()
+        .flatten()
+        .filter(move |unit| !stated && !UNCLEAR.contains(unit) && parsed(unit).is_some())
+}
+
+/// The unit in a column's name, where it is of one kind with `to`.
 pub fn unit_in_name<'a>(name: &'a str, to: &str) -> Option<&'a str> {
     let of_kind = |unit: &&str| matches!(relation(unit, to), Relation::Times(_));
-    if let Some(unit) = bracketed(name) {
-        return Some(unit).filter(of_kind);
+    match stated_unit(name) {
+        Some(unit) => Some(unit).filter(of_kind),
+        None => possible_units(name).find(of_kind),
     }
-    let last = name.rsplit(['_', ' ', '/', '-', '.', ',', ':', '\u{a0}']).next()?;
-    let camel =
-        last.rfind(char::is_uppercase).filter(|at| *at > 0 && last[..*at].ends_with(char::is_lowercase));
-    let words = [Some(last), camel.map(|at| &last[at..])];
-    words.into_iter().flatten().filter(|unit| !UNCLEAR.contains(unit)).find(of_kind)
 }
 
 /// A unit as it is repeated in messages and documents.
@@ -161,6 +179,23 @@ mod tests {
         }
         assert_eq!(relation("V", "N"), Relation::Other);
         assert_eq!(relation("counts", "N"), Relation::Unknown);
+    }
+
+    #[test]
+    fn every_form_of_a_name_states_the_same_unit() {
+        for name in ["F / kN", "F in kN", "F [kN]", "F (kN)", "Kraft / kN", "F {kN}", "F / (kN)"] {
+            assert_eq!(stated_unit(name), Some("kN"), "{name}");
+            assert_eq!(unit_in_name(name, "N"), Some("kN"), "{name}");
+            assert_eq!(unit_in_name(name, "V"), None, "{name}");
+        }
+        for name in ["F_kN", "F kN", "F-kN", "F/kN"] {
+            assert_eq!((stated_unit(name), possible_units(name).next()), (None, Some("kN")), "{name}");
+            assert_eq!(unit_in_name(name, "N"), Some("kN"), "{name}");
+        }
+        assert_eq!(possible_units("Signal_mV/V").next(), Some("mV/V"));
+        for name in ["position in frame", "in / out", "Time (local)", "sensor_in", "x_m", "load"] {
+            assert_eq!((stated_unit(name), possible_units(name).next()), (None, None), "{name}");
+        }
     }
 
     #[test]

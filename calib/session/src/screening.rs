@@ -19,6 +19,10 @@ const MIN_BLOCK: usize = 6;
 const MAX_ROWS: usize = 20_000;
 /// A gauge with no more steps over what was read is coarse: its repeats agree. 12 bits.
 const COARSE_STEPS: f64 = 4096.0;
+/// Pairs of repeats that tell how often readings agree.
+const MIN_PAIRS: usize = 8;
+/// A block that chance gives so seldom is a copy.
+const CHANCE: f64 = 1e-4;
 
 /// Marks the rows in which an instrument wrote a code because it had no value: in columns that a person `set`, and in those that were `read`.
 pub(crate) fn overflow(
@@ -48,7 +52,8 @@ pub(crate) fn overflow(
     Ok(warnings)
 }
 
-/// Marks the rows that are copies. Readings of a coarse `gauge` agree by themselves; none where a row holds too much to agree by chance.
+/// Marks the rows that are copies. Readings of a `gauge` agree by themselves as often as its repeats do; none where a row holds too much to agree
+/// by chance.
 pub(crate) fn copied(
     table: &TextTable,
     gauge: Option<&str>,
@@ -57,7 +62,14 @@ pub(crate) fn copied(
     let kept: Vec<usize> = (0..out.len()).filter(|&k| !out[k]).collect();
     let readings = gauge.map(|name| column(table, name)).transpose()?;
     let coarse = readings.is_some_and(|values| is_coarse(kept.iter().filter_map(|&k| values[k])));
-    let again = if coarse || kept.len() > MAX_ROWS { Vec::new() } else { copies(table, &kept) };
+    let mut again = if kept.len() > MAX_ROWS { Vec::new() } else { copies(table, &kept) };
+    let by_chance = || match gauge.and_then(|name| agreement(table, name, &kept, &again)) {
+        Some(share) => share.powi(again.len() as i32) * kept.len() as f64 > CHANCE,
+        None => true,
+    };
+    if coarse && by_chance() {
+        again.clear();
+    }
     if again.is_empty() {
         return Ok(None);
     }
@@ -125,6 +137,25 @@ fn is_coarse(readings: impl Iterator<Item = f64> + Clone) -> bool {
     !(high > low) || readings.into_iter().all(|v| (v / unit - (v / unit).round()).abs() < 1e-6)
 }
 
+/// How often a reading of the gauge agrees with the one before at the same place, of rows that are no copies; none where few are repeats.
+fn agreement(table: &TextTable, gauge: &str, kept: &[usize], copies: &[usize]) -> Option<f64> {
+    let without = ["point", "t_s", gauge].map(|name| table.place(name));
+    let copies: HashSet<&usize> = copies.iter().collect();
+    let mut before = HashMap::new();
+    let (mut pairs, mut alike) = (0, 0);
+    for &k in kept.iter().filter(|k| !copies.contains(*k)) {
+        let cells = &table.rows[k].1;
+        let set = cells.iter().enumerate().filter(|(column, _)| !without.contains(&Some(*column)));
+        let place: Vec<&str> = set.map(|(_, cell)| cell).collect();
+        let reading = without[2].map(|column| &cells[column]);
+        if let Some(earlier) = before.insert(place, reading) {
+            pairs += 1;
+            alike += usize::from(earlier == reading);
+        }
+    }
+    (pairs >= MIN_PAIRS).then(|| (alike + 1) as f64 / (pairs + 2) as f64)
+}
+
 /// The rows of `kept` that repeat an earlier one in every cell: with its point number or its time, or in a block of rows that follow each other
 /// as they do there.
 fn copies(table: &TextTable, kept: &[usize]) -> Vec<usize> {
@@ -153,6 +184,47 @@ fn copies(table: &TextTable, kept: &[usize]) -> Vec<usize> {
         copied[k] |= (timed && before > 0) | !whole.insert(cells(kept[k], None));
     }
     kept.iter().zip(copied).filter(|(_, copied)| *copied).map(|(k, _)| *k).collect()
+}
+
+/// Two columns that stand in each other's place from some row on: the settings of the rows before are read in the other column then, to the last
+/// digit, and no longer in their own.
+pub(crate) fn exchanged(table: &TextTable, [set, read]: [&str; 2]) -> Result<(), InputError> {
+    let columns = [column(table, set)?, column(table, read)?];
+    for [own, other] in [[0, 1], [1, 0]] {
+        let bits = |k: usize, column: usize| columns[column][k].map(f64::to_bits);
+        let mut before: HashSet<Option<u64>> = HashSet::new();
+        let rows = table.rows.len();
+        // Where the columns are exchanged, a value stands in its own column for the first time and in the other again.
+        let first = (0..rows).find(|&k| {
+            let begins =
+                k >= MIN_BLOCK && !before.contains(&bits(k, own)) && before.contains(&bits(k, other));
+            before.insert(bits(k, own));
+            begins
+        });
+        let Some(first) = first.filter(|first| rows - first >= MIN_BLOCK) else { continue };
+        let settings: HashSet<Option<u64>> = (0..first).map(|k| bits(k, own)).collect();
+        let of = |rows: std::ops::Range<usize>, column: usize| {
+            rows.filter(|&k| settings.contains(&bits(k, column))).count()
+        };
+        let after = rows - first;
+        // Settings repeat, and readings seldom meet one.
+        if 2 * settings.len() <= first
+            && of(first..rows, other) == after
+            && 10 * of(first..rows, own) <= after
+            && 10 * of(0..first, other) <= first
+        {
+            let found = format!(
+                "the settings of the rows before in {} of {after} rows from there on",
+                [set, read][other]
+            );
+            let error = InputError::new(&table.file, format!("settings in {}", [set, read][own]), found);
+            return Err(error
+                .at(table.rows[first].0)
+                .field([set, read][own])
+                .hint("the two columns are exchanged there?"));
+        }
+    }
+    Ok(())
 }
 
 /// A row as its place in the sequence shows it: line in the file, position or stimulus, time, direction.
@@ -228,6 +300,10 @@ mod tests {
         assert!(read(table(&sweeps(6, 4.0, 5), [])).is_empty());
         assert!(read(table(&sweeps(1, 0.0, 2), 0..11)).is_empty());
         assert!(read(table(&sweeps(6, 0.2, 2), [])).is_empty());
+        // Four decimals are coarse, but repeats that scatter over several of them do not agree eight times in a row; those of a quiet gauge may.
+        assert_eq!(read(table(&sweeps(3, 8.0, 3), 11..19)), (35..43).collect::<Vec<_>>());
+        assert!(read(table(&sweeps(3, 0.6, 3), 11..19)).is_empty());
+        assert!(read(table(&sweeps(3, 8.0, 3), [])).is_empty());
         // A time is read once.
         let timed = "point,t_s,response\n0,1.5,0.123456\n1,2.5,0.234567\n2,1.5,0.123456\n";
         assert_eq!(copied_lines(timed, Some("response")), [4]);
@@ -255,6 +331,35 @@ mod tests {
         assert_eq!(codes(&[0.1, 9.9e37], true), [9.9e37]);
         // Half of a column and more is its content.
         assert!(codes(&[0.1, 0.2, 0.3, 0.4, 9999.0, 9999.0, 9999.0, 9999.0, 9999.0], false).is_empty());
+    }
+
+    #[test]
+    fn columns_that_change_places_are_named_and_readings_that_meet_a_setting_are_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.csv");
+        let said = |row: &dyn Fn(usize, f64, f64) -> [f64; 2]| {
+            let scatter = |k: usize| ((k as f64 * 12.9898).sin() * 43758.5453).rem_euclid(1.0) - 0.5;
+            let lines = (0..44).map(|k| {
+                let x = 10.0 * (k % 11) as f64;
+                let [a, b] = row(k, x, 0.9 * x + 8.0 + scatter(k));
+                format!("{a},{b}\n")
+            });
+            std::fs::write(&path, "stimulus,response\n".to_owned() + &lines.collect::<String>()).unwrap();
+            let table = read_own(&path, "t.csv").unwrap();
+            exchanged(&table, ["stimulus", "response"]).err().map(|e| e.to_string())
+        };
+        let swapped = said(&|k, x, y| if k < 22 { [x, y] } else { [y, x] }).unwrap();
+        assert!(
+            swapped.contains("row at line 24, field stimulus") && swapped.contains("22 of 22"),
+            "{swapped}"
+        );
+        let first = said(&|k, x, y| if k < 22 { [y, x] } else { [x, y] }).unwrap();
+        assert!(first.contains("row at line 24, field response"), "{first}");
+        // Nothing exchanged, a coarse gauge of a slope of one, settings that are readings themselves, and new settings in the second half.
+        assert_eq!(said(&|_, x, y| [x, y]), None);
+        assert_eq!(said(&|_, x, _| [x, x]), None);
+        assert_eq!(said(&|k, x, y| if k < 22 { [x + 1e-3 * y, y] } else { [y, x + 1e-3 * y] }), None);
+        assert_eq!(said(&|k, x, _| if k < 22 { [x, x + 10.0] } else { [x + 5.0, x + 10.0] }), None);
     }
 
     /// `cycles` of five positions up and down; `direction` by cycle and way.

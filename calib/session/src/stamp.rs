@@ -86,6 +86,27 @@ impl Form {
     }
 }
 
+/// Whether a time stamp has no date.
+pub(crate) fn is_clock(text: &str) -> bool {
+    [Form::Clock, Form::Halves].iter().any(|form| form.seconds(text).is_some())
+}
+
+/// Whether a text is a time of the day, as it may stand behind a date.
+pub(crate) fn is_time_of_day(text: &str) -> bool {
+    const DATE: usize = 5;
+    text.contains(':')
+        && (1..TIMES.len()).any(|t| Form::Other(DATE, t).seconds(&format!("2025/03/04 {text}")).is_some())
+}
+
+/// Whether a text is a date without a time.
+pub(crate) fn is_date(text: &str) -> bool {
+    let dates = (0..DATES.len()).map(|d| Form::Other(d, 0)).chain([Form::Local]);
+    !text.contains(':')
+        && !text.contains('T')
+        && is_stamp(text)
+        && dates.into_iter().any(|f| f.seconds(text).is_some())
+}
+
 /// Whether a text is a time stamp.
 pub(crate) fn is_stamp(text: &str) -> bool {
     text.len() >= 6

@@ -1,0 +1,131 @@
+//! Columns of a foreign table as they are asked for, and tables of the form that a session was imported from.
+
+use crate::error::{InputError, SessionError};
+use crate::stamp::is_stamp;
+use crate::table::{TextTable, TextTableLayout, read_text_table};
+use csv::StringRecord;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Columns that a table may lack which another table of its form has.
+const OPTIONAL: [&str; 6] = ["t_s", "direction", "temperature_degc", "cycle", "replicate", "stimulus_sd"];
+
+/// A column as it is asked for: `COL`, `COL*FACTOR`, or time stamps as `COL since STAMP`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AskedColumn {
+    /// Its place in the table.
+    pub index: usize,
+    /// What its cells are multiplied by, where that is stated.
+    pub factor: Option<f64>,
+    /// The time stamp that seconds are counted from, where it is stated.
+    pub since: Option<String>,
+}
+
+/// The column in a text that asks for one, without its factor or its time stamp.
+pub fn asked_name(text: &str) -> &str {
+    split(text).0
+}
+
+fn split(text: &str) -> (&str, Option<f64>, Option<&str>) {
+    let factor = |(name, factor): (&'_ str, &str)| Some((name.len(), factor.trim().parse::<f64>().ok()?));
+    if let Some((end, factor)) = text.rsplit_once('*').and_then(factor) {
+        return (text[..end].trim(), Some(factor), None);
+    }
+    match text.rsplit_once(" since ").filter(|(_, stamp)| is_stamp(stamp.trim())) {
+        Some((name, stamp)) => (name.trim(), None, Some(stamp.trim())),
+        None => (text, None, None),
+    }
+}
+
+impl TextTable {
+    /// The column that a text asks for.
+    ///
+    /// # Errors
+    /// Where there is no such column, or the factor is none.
+    pub fn asked(&self, text: &str) -> Result<AskedColumn, InputError> {
+        let whole = !self.columns_named(text).is_empty();
+        let (name, factor, since) = if whole { (text, None, None) } else { split(text) };
+        let malformed = factor.is_none() && !whole && text.contains('*');
+        if malformed || factor.is_some_and(|f| !f.is_finite() || f == 0.0) {
+            let found = text.rsplit_once('*').map_or(text, |(_, factor)| factor);
+            let expected = "COLUMN*FACTOR with a finite factor other than 0";
+            return Err(InputError::new(&self.file, expected, format!("{found:?}")).field(text));
+        }
+        Ok(AskedColumn { index: self.column(name)?, factor, since: since.map(str::to_owned) })
+    }
+
+    /// The column of a session's name, or that which it was `imported` from.
+    pub fn imported(&self, name: &str, imported: &BTreeMap<String, String>) -> Option<AskedColumn> {
+        let own = || self.asked(imported.get(name)?).ok();
+        let index = self.columns.iter().position(|column| column == name);
+        index.map(|index| AskedColumn { index, factor: None, since: None }).or_else(own)
+    }
+
+    /// Numbers of a column by row, empty cells left out: words of a direction as signs, time stamps as seconds.
+    ///
+    /// # Errors
+    /// Where a cell holds anything else.
+    pub fn values(&self, name: &str, column: &AskedColumn) -> Result<Vec<Option<f64>>, InputError> {
+        if let Some(stamps) = (name == "t_s").then(|| self.stamps(column)).transpose()?.flatten() {
+            return Ok(stamps.times);
+        }
+        let factor = column.factor.unwrap_or(1.0);
+        let cell = |row: usize| match name {
+            "direction" => self.direction(row, column.index),
+            _ => self.number(row, column.index),
+        };
+        (0..self.rows.len()).map(|row| Ok(cell(row)?.map(|value| value * factor))).collect()
+    }
+}
+
+/// A table of the form that a session was imported from, as a table of that session which messages call `name`; none where it has the session's columns itself, or none of
+/// those of the import.
+///
+/// # Errors
+/// Where a column or a cell cannot be used.
+pub(crate) fn as_imported(
+    path: &Path,
+    name: &str,
+    imported: &BTreeMap<String, String>,
+    kept: &[String],
+) -> Result<Option<TextTable>, SessionError> {
+    if imported.is_empty() {
+        return Ok(None);
+    }
+    let columns = imported.values().map(|text| asked_name(text).to_owned());
+    let asked = columns.chain(imported.keys().cloned()).chain(kept.iter().cloned()).collect();
+    let table = read_text_table(path, &TextTableLayout { asked: Some(asked), ..TextTableLayout::default() })?;
+    let has = |name: &String| table.columns.contains(name);
+    if imported.keys().all(has) || !imported.values().any(|text| table.asked(text).is_ok()) {
+        return Ok(None);
+    }
+    let mut columns: Vec<(String, Vec<String>)> = Vec::new();
+    for name in imported.keys().chain(kept.iter().filter(|name| has(name) && !imported.contains_key(*name))) {
+        let column = match table.imported(name, imported) {
+            Some(column) => column,
+            None if OPTIONAL.contains(&name.as_str()) => continue,
+            None => table.asked(imported.get(name).unwrap_or(name))?,
+        };
+        let text = || table.rows.iter().map(|(_, cells)| cells[column.index].to_owned()).collect();
+        let numbers = || {
+            let shown = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
+            Ok::<_, InputError>(table.values(name, &column)?.into_iter().map(shown).collect())
+        };
+        columns.push((
+            name.clone(),
+            if matches!(name.as_str(), "role" | "stream") { text() } else { numbers()? },
+        ));
+    }
+    let rows = table.rows.len();
+    let given: [(&str, &dyn Fn(usize) -> String); 2] =
+        [("point", &|row| (row + 1).to_string()), ("role", &|_| "holdout".to_owned())];
+    for (name, cell) in given {
+        if !columns.iter().any(|(own, _)| own == name) {
+            columns.push((name.to_owned(), (0..rows).map(cell).collect()));
+        }
+    }
+    let cells = |row: usize| columns.iter().map(|(_, cells)| cells[row].as_str()).collect::<StringRecord>();
+    let rows = table.rows.iter().enumerate().map(|(row, (line, _))| (*line, cells(row))).collect();
+    let names = columns.iter().map(|(name, _)| name.clone()).collect();
+    Ok(Some(table.of_session(name, names, rows)))
+}

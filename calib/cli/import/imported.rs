@@ -91,6 +91,12 @@ impl Noticed {
     }
 }
 
+/// A name as a shell takes it for one word.
+pub(super) fn shell_word(name: &str) -> String {
+    let plain = name.chars().all(|c| c.is_alphanumeric() || matches!(c, '_' | '-' | '.'));
+    if plain { name.to_owned() } else { format!("'{name}'") }
+}
+
 /// Says what was imported, and what was odd about it; exit code 3 where the new session carries warnings.
 pub(super) fn say(
     args: &ImportArgs,
@@ -120,7 +126,7 @@ pub(super) fn say(
         let way_in = if kind == "sweep" { "" } else { WAY_IN };
         let shown = |name: &&str| {
             let option = option_of(name).filter(|_| kind != "sweep");
-            option.map_or((*name).to_owned(), |option| format!("{name} ({option} {name})"))
+            option.map_or((*name).to_owned(), |option| format!("{name} ({option} {})", shell_word(name)))
         };
         let shown: Vec<String> = others.iter().map(shown).collect();
         eprintln!("columns not imported: {}{way_in}", shown.join(", "));

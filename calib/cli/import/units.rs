@@ -1,8 +1,9 @@
 //! Units of the foreign table: those that stand in its names and below its header become the session's.
 
+use super::imported::shell_word;
 use anyhow::bail;
 use wcal_core::text::number;
-use wcal_session::{Relation, TextTable, possible_units, relation, stated_unit, unit_in_name};
+use wcal_session::{Relation, TextTable, bracketed, possible_units, relation, stated_unit, unit_in_name};
 
 /// Columns of a session whose unit is fixed, and the options that take them.
 const FIXED: [(&str, &str, &str); 4] = [
@@ -141,15 +142,15 @@ pub(super) fn signal(
     let (file, name) = (&table.file, &table.columns[index]);
     let sure = below(table, index).or_else(|| stated_unit(name));
     // A last word that is a unit may be one, and is where it is of one kind with what is stated: `load_kN`.
-    let last = possible_units(name).find(|word| *word != name.as_str());
+    let last = possible_units(name).find(|word| *word != name.as_str()).or_else(|| bracketed(name));
     let of_kind = |unit: &&str| matches!(relation(unit, stated.unwrap_or_default()), Relation::Times(_));
     let Some(found) = sure.or(last.filter(of_kind)) else {
         match (last, stated) {
             (unit, None) => remarks.push(format!(
                 "{file}: no unit of {name} is stated, taken as 1 ({option}-unit {} states it)",
-                unit.unwrap_or("UNIT")
+                unit.map_or("UNIT".to_owned(), shell_word)
             )),
-            (Some(unit), Some(stated)) if unit.len() > 1 => {
+            (Some(unit), Some(stated)) if unit.len() > 1 && unit != stated => {
                 remarks
                     .push(format!("{file}: {name} is taken as {stated}, though its name ends with {unit}"));
             }

@@ -139,9 +139,27 @@ pub(crate) fn grouped(text: &str, marks: &[char]) -> bool {
 
 /// +1 or -1 for a word or sign of a direction.
 pub(crate) fn direction(cell: &str) -> Option<f64> {
-    const UP: [&str; 10] =
-        ["+", "up", "rising", "increasing", "increase", "inc", "loading", "forward", "fwd", "ascending"];
-    const DOWN: [&str; 12] = [
+    const UP: [&str; 18] = [
+        "+",
+        "up",
+        "rising",
+        "increasing",
+        "increase",
+        "inc",
+        "loading",
+        "forward",
+        "fwd",
+        "ascending",
+        "auf",
+        "aufw\u{e4}rts",
+        "steigend",
+        "belastung",
+        "hin",
+        "mont\u{e9}e",
+        "croissant",
+        "charge",
+    ];
+    const DOWN: [&str; 20] = [
         "-",
         "down",
         "falling",
@@ -154,6 +172,14 @@ pub(crate) fn direction(cell: &str) -> Option<f64> {
         "reverse",
         "rev",
         "descending",
+        "ab",
+        "abw\u{e4}rts",
+        "fallend",
+        "entlastung",
+        "zur\u{fc}ck",
+        "descente",
+        "d\u{e9}croissant",
+        "d\u{e9}charge",
     ];
     let word = cell.replace('\u{2212}', "-").to_lowercase();
     let is = |words: &[&str]| words.contains(&&*word);
@@ -195,6 +221,9 @@ mod tests {
         for cell in ["Mean", "#40", "-b", "A1", "mV/V", "1.5.2"] {
             assert_eq!(content(cell), Content::Text, "{cell}");
         }
-        assert_eq!(["+", "Down", "0"].map(direction), [Some(1.0), Some(-1.0), None]);
+        assert_eq!(
+            ["+", "Down", "0", "auf", "Entlastung", "abc"].map(direction),
+            [Some(1.0), Some(-1.0), None, Some(1.0), Some(-1.0), None]
+        );
     }
 }

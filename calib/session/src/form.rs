@@ -1,6 +1,6 @@
 //! The form of a table of another program: where its header and its rows are, and which lines are neither.
 
-use crate::cell::{Content, content, is_accounted, name_of};
+use crate::cell::{Content, content, grouped, is_accounted, name_of};
 use crate::error::{InputError, listed, quote};
 use crate::quantity::written;
 use crate::separated::{Separator, records};
@@ -64,6 +64,49 @@ impl Preamble {
             times: number("X0").zip(number("Delta_X")).map(|(start, step)| [start, step]),
             remark: Some("a LabVIEW measurement file".to_owned()),
         }
+    }
+}
+
+impl Preamble {
+    /// Where the file says nothing of its separator and no line with commas has any of the names that are `asked` for, it is the one by which
+    /// a line has most of them. Cells with a comma are decimals then, where one cannot be anything else and none has a dot.
+    pub(crate) fn find_separator(&mut self, text: &str, asked: &[String], decimal_comma: bool) {
+        if self.separator.is_some() {
+            return;
+        }
+        let found = |separator: Separator| {
+            let named = |line: &str| {
+                let names =
+                    records(line, 1, separator).first().map(|(_, cells)| names(cells)).unwrap_or_default();
+                asked.iter().filter(|name| names.contains(name)).count()
+            };
+            text.lines().take(LOOK).map(named).max().unwrap_or(0)
+        };
+        let others = [Separator::Semicolon, Separator::Tab, Separator::Whitespace].map(|s| (found(s), s));
+        // Of equals the first.
+        let Some((count, separator)) = others.into_iter().rev().max_by_key(|(count, _)| *count) else {
+            return;
+        };
+        if count == 0 || found(Separator::Comma) > 0 {
+            return;
+        }
+        self.separator = Some(separator);
+        let (called, option) = separator.called();
+        let mut read = format!("read with fields separated by {called} (--separator {option})");
+        let rows = records(text, 1, separator);
+        let values =
+            || rows.iter().flat_map(|(_, cells)| cells).filter(|cell| content(cell) == Content::Value);
+        let commas = || values().filter(|cell| cell.contains(','));
+        let sure = |cell: &str| {
+            let whole = cell.trim_start_matches(['-', '+', '(']).split('.').next().unwrap_or_default();
+            !grouped(whole, &[','])
+        };
+        let dots = values().any(|cell| cell.contains('.') && cell.parse::<f64>().is_ok());
+        if !decimal_comma && commas().any(sure) && !dots {
+            self.decimal_comma = true;
+            read += " and a comma before decimals (--decimal-comma)";
+        }
+        self.remark = Some(read);
     }
 }
 
@@ -195,7 +238,7 @@ impl Form {
             if let Some((_, cells)) = below.first() {
                 self.remarks.push(format!("no readings below the header: line(s) {}", lines(&below)));
                 // Where the columns are stated the first line may be the header that they replace.
-                if k == 0 && !stated {
+                if k == 0 && !stated && !numbers_columns(cells) {
                     self.units = cells.iter().map(written).collect();
                 }
             }
@@ -309,11 +352,10 @@ fn numeric_columns(all: &[Record], width: usize) -> Vec<bool> {
 /// A line with text and without any number, or one that numbers the columns, as forms have it: (1) (2) (3). Where each field begins like a
 /// number, as `300 N`, it is a reading that cannot be read.
 fn is_text(cells: &StringRecord) -> bool {
-    let mut text =
-        cells.len() > 1 && cells.iter().enumerate().all(|(k, cell)| cell == format!("({})", k + 1));
-    if text {
+    if numbers_columns(cells) {
         return true;
     }
+    let mut text = false;
     let held = || cells.iter().filter(|cell| !cell.is_empty());
     if held().count() > 1 && held().all(begins_like_number) {
         return false;
@@ -337,6 +379,10 @@ fn misfits(cells: &StringRecord, numeric: &[bool]) -> bool {
     });
     let odd = || cells.iter().zip(numeric).any(|(cell, numeric)| *numeric && content(cell) == Content::Text);
     begins && (cells.len() != numeric.len() || odd() || first.is_some_and(is_statistic))
+}
+
+fn numbers_columns(cells: &StringRecord) -> bool {
+    cells.len() > 1 && cells.iter().enumerate().all(|(k, cell)| cell == format!("({})", k + 1))
 }
 
 fn begins_like_number(cell: &str) -> bool {

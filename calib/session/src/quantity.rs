@@ -15,7 +15,7 @@ const PREFIXES: [(&str, &str, f64); 8] = [
     ("G", "giga", 1e9),
 ];
 /// Words for them, and other units: in small letters, with the base and the factor (inch, pound-force, kilopond and psi by their definitions).
-const WORDS: [(&str, &str, f64); 44] = [
+const WORDS: [(&str, &str, f64); 52] = [
     ("newton", "N", 1.0),
     ("pascal", "Pa", 1.0),
     ("volt", "V", 1.0),
@@ -60,9 +60,17 @@ const WORDS: [(&str, &str, f64); 44] = [
     ("fahrenheit", "degF", 1.0),
     ("f", "degF", 1.0),
     ("t", "g", 1e6),
+    ("lb", "g", 453.592_37),
+    ("oz", "g", 28.349_523_125),
+    ("ft", "m", 0.3048),
+    ("kp", "N", 9.806_65),
+    ("atm", "Pa", 101_325.0),
+    ("torr", "Pa", 133.322_368_421),
+    ("mmhg", "Pa", 133.322_387_415),
+    ("at", "Pa", 98_066.5),
 ];
 /// What at the end of a name, without brackets, more often is something else than a unit: `x_m` is measured, `sensor_in` an input.
-const UNCLEAR: [&str; 3] = ["in", "m", "t"];
+const UNCLEAR: [&str; 4] = ["in", "m", "t", "at"];
 
 /// Base and factor of a unit; none where it is not known.
 fn parsed(unit: &str) -> Option<(&'static str, f64)> {
@@ -109,8 +117,8 @@ pub fn relation(from: &str, to: &str) -> Relation {
     }
 }
 
-/// The unit in brackets at the end of a column's name: `Force (N)`, `t [ms]`.
-fn bracketed(name: &str) -> Option<&str> {
+/// What stands in brackets at the end of a column's name: `Force (N)`, `t [ms]`.
+pub fn bracketed(name: &str) -> Option<&str> {
     let name = name.trim();
     [('(', ')'), ('[', ']'), ('{', '}'), ('<', '>')].into_iter().find_map(|(open, close)| {
         let (_, unit) = name.strip_suffix(close)?.rsplit_once(open)?;

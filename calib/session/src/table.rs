@@ -136,13 +136,16 @@ pub(crate) fn read_own(path: &Path, name: &str) -> Result<TextTable, SessionErro
 fn parse(file: &str, text: &str, layout: &TextTableLayout) -> Result<TextTable, InputError> {
     let skipped = layout.skip_lines;
     let foreign = layout.asked.is_some();
-    let preamble = if foreign { Preamble::read(text) } else { Preamble::default() };
+    let mut preamble = if foreign { Preamble::read(text) } else { Preamble::default() };
     let start = text.split_inclusive('\n').take(skipped).map(str::len).sum::<usize>();
     let text = &text[start..];
     let error = |expected: String, found: String| InputError::new(file, expected, found);
     if let Some((k, line)) = text.lines().enumerate().find(|(_, line)| line.len() > MAX_LINE) {
         let expected = format!("at most {MAX_LINE} bytes in a line");
         return Err(error(expected, line.len().to_string()).at(skipped + k + 1));
+    }
+    if let (None, None, Some(asked)) = (layout.separator, &layout.columns, layout.asked.as_deref()) {
+        preamble.find_separator(text, asked, layout.decimal_comma);
     }
     let separator = layout.separator.or(preamble.separator).unwrap_or_default();
     let (stated, asked) = (layout.columns.as_deref(), layout.asked.as_deref());

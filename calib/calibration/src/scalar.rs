@@ -5,6 +5,7 @@ use crate::error::CalibrationError;
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_core::observation::Role;
+use wcal_core::text::number;
 use wcal_session::{TextTable, TextTableLayout, asked_name, read_text_table};
 use wcal_trace::scalar::{ScalarModel, ScalarRow, judgement};
 use wcal_trace::verify::judgement::JudgedReading;
@@ -131,7 +132,7 @@ impl Calibration for ScalarModel {
             csv.push('\n');
         }
         let outside = predicted.iter().filter(|p| !p.valid).count();
-        let [low, high] = self.stimulus_range;
+        let [low, high] = self.stimulus_range.map(|v| number(v, 10));
         let outside = (outside > 0).then(|| {
             format!(
                 "{outside} of {} readings lie outside the fitted {}, {low} to {high} {}",

@@ -103,14 +103,22 @@ pub fn with_unit(what: &str, unit: &str) -> String {
 
 /// A number with so many significant digits at most and no zeros behind them; an exponent where it is very small or large.
 pub fn number(value: f64, digits: usize) -> String {
-    let most = 10f64.powi(digits.clamp(7, 15) as i32);
     let Ok(rounded) = format!("{value:.*e}", digits.saturating_sub(1)).parse::<f64>() else {
         return value.to_string();
     };
-    if rounded == 0.0 || (1e-4..most).contains(&rounded.abs()) || !rounded.is_finite() {
+    if rounded == 0.0 || (1e-4..1e7).contains(&rounded.abs()) || !rounded.is_finite() {
         rounded.to_string()
     } else {
         format!("{rounded:e}")
+    }
+}
+
+/// A p-value; the model of the noise says nothing of chances below a billionth.
+pub fn chance(p: f64) -> String {
+    match p {
+        p if p < 1e-9 => "p < 1e-9".to_owned(),
+        p if p < 0.01 => format!("p = {p:.1e}"),
+        p => format!("p = {p:.2}"),
     }
 }
 

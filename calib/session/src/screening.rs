@@ -6,6 +6,7 @@ use crate::row::Row;
 use crate::table::TextTable;
 use crate::warning::{SessionWarning, WarningKind};
 use std::collections::{HashMap, HashSet};
+use wcal_core::text::number;
 
 /// No quantity of a calibration is this large: SCPI's 9.9e37 and 9.91e37, the largest float, 1e38 and their like.
 const HUGE: f64 = 1e30;
@@ -235,7 +236,7 @@ pub(crate) type Step = (usize, f64, Option<f64>, Option<f64>);
 pub(crate) fn contradiction(file: &str, setting: &str, rows: &[Step]) -> Result<(), InputError> {
     let first = rows.first().and_then(|first| Some((first.0, first.2.filter(|_| rows.len() > 1)?)));
     if let Some((line, t_s)) = first.filter(|(_, t_s)| rows.iter().all(|r| r.2 == Some(*t_s))) {
-        let found = format!("t_s {t_s} in all {} rows", rows.len());
+        let found = format!("t_s {} in all {} rows", number(t_s, 12), rows.len());
         let error = InputError::new(file, "a time that runs", found).at(line).field("t_s");
         return Err(error.hint("leave --time out at import: the order of the rows then stands for it"));
     }

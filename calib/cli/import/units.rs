@@ -142,7 +142,7 @@ pub(super) fn signal(
     let (file, name) = (&table.file, &table.columns[index]);
     let sure = below(table, index).or_else(|| stated_unit(name));
     // A last word that is a unit may be one, and is where it is of one kind with what is stated: `load_kN`.
-    let last = possible_units(name).find(|word| *word != name.as_str()).or_else(|| bracketed(name));
+    let last = possible_units(name).next().or_else(|| bracketed(name));
     let of_kind = |unit: &&str| matches!(relation(unit, stated.unwrap_or_default()), Relation::Times(_));
     let Some(found) = sure.or(last.filter(of_kind)) else {
         match (last, stated) {

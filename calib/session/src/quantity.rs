@@ -140,7 +140,11 @@ pub fn possible_units(name: &str) -> impl Iterator<Item = &str> {
     let part = last.rsplit('/').next().unwrap_or_default();
     let camel =
         part.rfind(char::is_uppercase).filter(|at| *at > 0 && part[..*at].ends_with(char::is_lowercase));
-    let words = [Some(last), (part != last).then_some(part), camel.map(|at| &part[at..])];
+    // A word that is a unit is one as a whole: kN is no k in newtons.
+    let words = match parsed(last) {
+        Some(_) => [Some(last), None],
+        None => [(part != last).then_some(part), camel.map(|at| &part[at..])],
+    };
     let stated = bracketed(name).is_some();
     words
         .into_iter()
@@ -200,7 +204,9 @@ mod tests {
             assert_eq!((stated_unit(name), possible_units(name).next()), (None, Some("kN")), "{name}");
             assert_eq!(unit_in_name(name, "N"), Some("kN"), "{name}");
         }
-        assert_eq!(possible_units("Signal_mV/V").next(), Some("mV/V"));
+        for (name, unit) in [("Signal_mV/V", "mV/V"), ("kN", "kN"), ("timeMs", "Ms")] {
+            assert_eq!(possible_units(name).collect::<Vec<_>>(), [unit], "{name}");
+        }
         for name in ["position in frame", "in / out", "Time (local)", "sensor_in", "x_m", "load"] {
             assert_eq!((stated_unit(name), possible_units(name).next()), (None, None), "{name}");
         }

@@ -3,7 +3,9 @@
 use super::imported::shell_word;
 use anyhow::bail;
 use wcal_core::text::number;
-use wcal_session::{Relation, TextTable, bracketed, possible_units, relation, stated_unit, unit_in_name};
+use wcal_session::{
+    Relation, TextTable, bracketed, is_unit, possible_units, relation, stated_unit, unit_in_name,
+};
 
 /// Columns of a session whose unit is fixed, and the options that take them.
 const FIXED: [(&str, &str, &str); 4] = [
@@ -28,7 +30,7 @@ pub(super) fn factor(
     (remarks, warnings): Noticed<'_>,
 ) -> anyhow::Result<f64> {
     let Some((_, to, option)) = FIXED.iter().find(|(fixed, ..)| *fixed == name) else { return Ok(1.0) };
-    let (file, column, below) = (&table.file, &table.columns[index], below(table, index));
+    let (file, column, below) = (&table.file, &table.columns[index], below(table, index)?);
     let mut found: Option<(&str, f64)> = None;
     // A temperature in another unit is refused wherever that stands.
     let last = column.rsplit(['_', ' ']).next().filter(|unit| {
@@ -66,9 +68,23 @@ pub(super) fn factor(
     }
 }
 
-/// What a table says of a column's unit below its header.
-fn below(table: &TextTable, index: usize) -> Option<&str> {
-    table.units.get(index).map(String::as_str).filter(|unit| !unit.is_empty())
+/// What a table says of a column's unit below its header, or in each row in a column of units beside it.
+///
+/// # Errors
+/// Where rows have several.
+fn below(table: &TextTable, index: usize) -> anyhow::Result<Option<&str>> {
+    let below = table.units.get(index).map(String::as_str).filter(|unit| !unit.is_empty());
+    let named = |name: &String| ["unit", "einheit"].iter().any(|word| name.to_lowercase().contains(word));
+    if below.is_some() || !table.columns.get(index + 1).is_some_and(named) {
+        return Ok(below);
+    }
+    let mut units = table.rows.iter().map(|(line, cells)| (line, &cells[index + 1]));
+    let first = units.next().map(|(_, unit)| unit).filter(|unit| is_unit(unit));
+    if let Some((line, other)) = units.find(|(_, unit)| first.is_some_and(|first| first != *unit)) {
+        let (file, column, first) = (&table.file, &table.columns[index], first.unwrap_or_default());
+        bail!("{file}, row at line {line}, field {column}: expected one unit, found {first} and {other}");
+    }
+    Ok(first)
 }
 
 /// Times without a unit are taken as seconds, which is said; where they hardly are seconds, it is asked.
@@ -140,7 +156,7 @@ pub(super) fn signal(
     };
     let index = column.index;
     let (file, name) = (&table.file, &table.columns[index]);
-    let sure = below(table, index).or_else(|| stated_unit(name));
+    let sure = below(table, index)?.or_else(|| stated_unit(name));
     // A last word that is a unit may be one, and is where it is of one kind with what is stated: `load_kN`.
     let last = possible_units(name).next().or_else(|| bracketed(name));
     let of_kind = |unit: &&str| matches!(relation(unit, stated.unwrap_or_default()), Relation::Times(_));

@@ -6,6 +6,9 @@ use std::borrow::Cow;
 /// Marks between groups of three digits: blanks of several widths (ISO 80000-1), apostrophes.
 const GROUP_MARKS: [char; 6] = [' ', '\u{a0}', '\u{202f}', '\u{2009}', '\'', '\u{2019}'];
 
+/// The minus sign, and a dash that people type for it.
+const MINUS: [char; 2] = ['\u{2212}', '\u{2013}'];
+
 /// Words for a value that is not there, in small letters: those of programs, spreadsheets, and instruments whose input is open or beyond its
 /// range.
 const MISSING: [&str; 37] = [
@@ -115,11 +118,11 @@ pub(crate) fn plain(cell: &str) -> Cow<'_, str> {
         return Cow::Owned(plain(&number).into_owned());
     }
     let exponent = |c: char| matches!(c, 'd' | 'D');
-    let odd = |c: char| exponent(c) || c == '\u{2212}' || GROUP_MARKS.contains(&c);
+    let odd = |c: char| exponent(c) || MINUS.contains(&c) || GROUP_MARKS.contains(&c);
     if !cell.contains(odd) || cell.contains(|c: char| c.is_alphabetic() && !exponent(c)) {
         return Cow::Borrowed(cell);
     }
-    let text = cell.replace('\u{2212}', "-").replace(exponent, "E");
+    let text = cell.replace(MINUS, "-").replace(exponent, "E");
     let whole = text.trim_start_matches(['-', '+']).split(['.', ',', 'E']).next().unwrap_or_default();
     if !whole.contains(GROUP_MARKS) || !grouped(whole, &GROUP_MARKS) {
         return Cow::Owned(text);
@@ -205,12 +208,28 @@ mod tests {
             ("1\u{202f}234\u{202f}567.25", 1_234_567.25),
             ("-5'000", -5000.0),
             ("\u{2212}3.5", -3.5),
+            ("\u{2013}100", -100.0),
+            ("(1 300.5)", -1300.5),
+            ("12.5-", -12.5),
             ("+7", 7.0),
         ] {
             assert_eq!(number(cell), Some(value), "{cell}");
         }
         // Groups that are none: no number, never another one.
-        for cell in ["1 00", "12 3456", "0 123", "1 000'000", "5 N", "1D", "end", "D"] {
+        for cell in [
+            "1 00",
+            "12 3456",
+            "0 123",
+            "1 000'000",
+            "5 N",
+            "1D",
+            "end",
+            "D",
+            "(5 N)",
+            "(-5)",
+            "()",
+            "1\u{2013}2",
+        ] {
             assert_eq!(number(cell), None, "{cell}");
         }
         for cell in

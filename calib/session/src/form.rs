@@ -2,7 +2,7 @@
 
 use crate::cell::{Content, content, grouped, is_accounted, name_of};
 use crate::error::{InputError, listed, quote};
-use crate::quantity::written;
+use crate::quantity::{is_unit, written};
 use crate::separated::{Separator, records};
 use crate::warning::named;
 use csv::StringRecord;
@@ -235,7 +235,9 @@ impl Form {
             // Directly below a header a line without any number is no reading: units, or how the values were made.
             let first = part.iter().position(|(_, cells)| !is_text(cells)).unwrap_or(0);
             let below: Vec<Record> = part.drain(..first).collect();
-            if let Some((_, cells)) = below.first() {
+            // Units are in the line that has most of those that are known.
+            let known = |(_, cells): &&Record| cells.iter().filter(|cell| is_unit(cell)).count();
+            if let Some((_, cells)) = below.iter().rev().max_by_key(known) {
                 self.remarks.push(format!("no readings below the header: line(s) {}", lines(&below)));
                 // Where the columns are stated the first line may be the header that they replace.
                 if k == 0 && !stated && !numbers_columns(cells) {

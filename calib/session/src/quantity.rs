@@ -96,6 +96,11 @@ fn parsed(unit: &str) -> Option<(&'static str, f64)> {
     short.or_else(|| word(&unit)).or_else(long).or_else(time).or((unit == "s").then_some(("s", 1.0)))
 }
 
+/// Whether a text is a unit that is known.
+pub fn is_unit(text: &str) -> bool {
+    parsed(text).is_some()
+}
+
 /// How a unit is related to another one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Relation {

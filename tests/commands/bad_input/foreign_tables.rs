@@ -313,6 +313,19 @@ fn a_unit_in_a_name_is_compared_in_every_form() {
         let (code, said, _) = named(name, &["--stimulus-unit", "V"]);
         assert!(code == 1 && said.contains("another unit"), "{name}: {said}");
     }
+    // In a line below another one, and in a column of its own: one in every row.
+    let (code, said, _) =
+        import(&under("load,sig\n(applied),(bridge)\nkN,mV", &plain()), &["--stimulus-unit", "N"]);
+    assert!(code == 1 && said.contains("load*1000"), "{said}");
+    let beside = |unit: fn(usize) -> &'static str| {
+        let rows = lines(|k, x, sig| format!("{x},{sig},{}", unit(k)));
+        import(&under("load,sig,Unit", &rows), &["--response-unit", "V"])
+    };
+    let (code, said, _) = beside(|k| if k % 4 == 0 { "mV" } else { "V" });
+    assert!(code == 1 && said.contains("line 3") && said.contains("found mV and V"), "{said}");
+    let (code, said, _) = beside(|_| "mV");
+    assert!(code == 1 && said.contains("sig*0.001"), "{said}");
+    assert_eq!(beside(|_| "V").0, 0, "control");
     // What only may be a unit is said.
     let (code, said, _) = named("F_kN", &["--stimulus-unit", "V"]);
     assert!(code == 0 && said.contains("taken as V, though its name ends with kN"), "{said}");

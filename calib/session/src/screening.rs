@@ -215,10 +215,10 @@ pub(crate) fn exchanged(table: &TextTable, [set, read]: [&str; 2]) -> Result<(),
             && 10 * of(0..first, other) <= first
         {
             let found = format!(
-                "the settings of the rows before in {} of {after} rows from there on",
+                "them in the other column, {}, in all {after} rows from there on",
                 [set, read][other]
             );
-            let error = InputError::new(&table.file, format!("settings in {}", [set, read][own]), found);
+            let error = InputError::new(&table.file, "the settings of the rows before", found);
             return Err(error
                 .at(table.rows[first].0)
                 .field([set, read][own])
@@ -351,7 +351,8 @@ mod tests {
         };
         let swapped = said(&|k, x, y| if k < 22 { [x, y] } else { [y, x] }).unwrap();
         assert!(
-            swapped.contains("row at line 24, field stimulus") && swapped.contains("22 of 22"),
+            swapped.contains("row at line 24, field stimulus")
+                && swapped.contains("response, in all 22 rows"),
             "{swapped}"
         );
         let first = said(&|k, x, y| if k < 22 { [y, x] } else { [x, y] }).unwrap();

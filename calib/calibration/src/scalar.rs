@@ -66,6 +66,10 @@ impl Calibration for ScalarModel {
         let table = read_text_table(table, &TextTableLayout { asked, ..TextTableLayout::default() })?;
         let axis = self.session_kind == "axis";
         let columns = Columns { table: &table, own: &self.columns };
+        for (name, unit) in [("stimulus", &self.stimulus_unit), ("response", &self.response_unit)] {
+            let column = table.imported(name, &self.columns);
+            column.map_or(Ok(()), |column| table.check_unit(&column, unit))?;
+        }
         let stimulus = columns.numbers(if axis { "commanded_mm" } else { "stimulus" }, axis)?;
         let inverse = stimulus.is_none();
         let response = if inverse { columns.numbers("response", true)? } else { None };

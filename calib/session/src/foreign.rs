@@ -1,6 +1,7 @@
 //! Columns of a foreign table as they are asked for, and tables of the form that a session was imported from.
 
 use crate::error::{InputError, SessionError};
+use crate::quantity::{Relation, relation};
 use crate::stamp::is_stamp;
 use crate::table::{TextTable, TextTableLayout, read_text_table};
 use csv::StringRecord;
@@ -9,6 +10,9 @@ use std::path::Path;
 
 /// Columns that a table may lack which another table of its form has.
 const OPTIONAL: [&str; 6] = ["t_s", "direction", "temperature_degc", "cycle", "replicate", "stimulus_sd"];
+
+/// Columns of a session that a table has not by itself: the number of the row, and that it is held out.
+const GIVEN: [&str; 2] = ["point", "role"];
 
 /// A column as it is asked for: `COL`, `COL*FACTOR`, or time stamps as `COL since STAMP`.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,6 +65,24 @@ impl TextTable {
         index.map(|index| AskedColumn { index, factor: None, since: None }).or_else(own)
     }
 
+    /// Compares the unit that the table states of a column below its header with the session's.
+    ///
+    /// # Errors
+    /// Where it is another one, and no factor is stated.
+    pub fn check_unit(&self, column: &AskedColumn, unit: &str) -> Result<(), InputError> {
+        let stated = self.units.get(column.index).filter(|unit| !unit.is_empty() && column.factor.is_none());
+        let other = stated.filter(|stated| match relation(stated, unit) {
+            Relation::Times(factor) => (factor - 1.0).abs() > 1e-9,
+            Relation::Other => true,
+            Relation::Unknown => false,
+        });
+        let error = |stated: &String| {
+            let name = &self.columns[column.index];
+            InputError::new(&self.file, format!("{unit}, as in the session"), stated.as_str()).field(name)
+        };
+        other.map_or(Ok(()), |stated| Err(error(stated)))
+    }
+
     /// Numbers of a column by row, empty cells left out: words of a direction as signs, time stamps as seconds.
     ///
     /// # Errors
@@ -88,16 +110,24 @@ pub(crate) fn as_imported(
     name: &str,
     imported: &BTreeMap<String, String>,
     kept: &[String],
+    units: &[(&str, &str)],
 ) -> Result<Option<TextTable>, SessionError> {
-    if imported.is_empty() {
-        return Ok(None);
-    }
     let columns = imported.values().map(|text| asked_name(text).to_owned());
     let asked = columns.chain(imported.keys().cloned()).chain(kept.iter().cloned()).collect();
-    let table = read_text_table(path, &TextTableLayout { asked: Some(asked), ..TextTableLayout::default() })?;
+    let table = read_text_table(path, &TextTableLayout { asked: Some(asked), ..TextTableLayout::default() });
+    let table = match table {
+        // What is wrong with a table of the session's own form is said by its reader.
+        Err(_) if imported.is_empty() => return Ok(None),
+        table => table?,
+    };
     let has = |name: &String| table.columns.contains(name);
-    if imported.keys().all(has) || !imported.values().any(|text| table.asked(text).is_ok()) {
+    let own = imported.keys().all(has) && GIVEN.iter().all(|name| has(&(*name).to_owned()));
+    let any = imported.values().any(|text| table.asked(text).is_ok()) || kept.iter().any(has);
+    if own || !any {
         return Ok(None);
+    }
+    for (name, unit) in units {
+        table.imported(name, imported).map_or(Ok(()), |column| table.check_unit(&column, unit))?;
     }
     let mut columns: Vec<(String, Vec<String>)> = Vec::new();
     for name in imported.keys().chain(kept.iter().filter(|name| has(name) && !imported.contains_key(*name))) {
@@ -117,9 +147,8 @@ pub(crate) fn as_imported(
         ));
     }
     let rows = table.rows.len();
-    let given: [(&str, &dyn Fn(usize) -> String); 2] =
-        [("point", &|row| (row + 1).to_string()), ("role", &|_| "holdout".to_owned())];
-    for (name, cell) in given {
+    let given: [&dyn Fn(usize) -> String; 2] = [&|row| (row + 1).to_string(), &|_| "holdout".to_owned()];
+    for (name, cell) in GIVEN.into_iter().zip(given) {
         if !columns.iter().any(|(own, _)| own == name) {
             columns.push((name.to_owned(), (0..rows).map(cell).collect()));
         }

@@ -82,12 +82,15 @@ impl Preamble {
             };
             text.lines().take(LOOK).map(named).max().unwrap_or(0)
         };
+        if found(Separator::Comma) > 0 {
+            return;
+        }
         let others = [Separator::Semicolon, Separator::Tab, Separator::Whitespace].map(|s| (found(s), s));
         // Of equals the first.
         let Some((count, separator)) = others.into_iter().rev().max_by_key(|(count, _)| *count) else {
             return;
         };
-        if count == 0 || found(Separator::Comma) > 0 {
+        if count == 0 {
             return;
         }
         self.separator = Some(separator);
@@ -199,30 +202,34 @@ impl Form {
         let (mut again, mut between, mut foot) = (Vec::new(), Vec::new(), Vec::new());
         let mut parts: Vec<Vec<Record>> = vec![Vec::new()];
         let (mut others, mut elsewhere): (Vec<Vec<Record>>, bool) = (Vec::new(), false);
-        for (k, (line, cells)) in all.iter().enumerate() {
-            let is_own = is_text(cells) && self.is_header(cells);
-            let below = parts.last().is_some_and(|part| part.iter().any(|(_, cells)| !is_text(cells)));
-            if is_own {
+        let heads: Vec<bool> = (0..all.len()).map(|k| self.heads_another(&all[k..])).collect();
+        let mut end = None;
+        for ((line, cells), heads) in all.into_iter().zip(heads) {
+            let apart = end.replace(line).is_some_and(|end| line > end + 1);
+            let text = is_text(&cells);
+            if text && self.is_header(&cells) {
                 elsewhere = false;
-                again.push((*line, cells.clone()));
+                again.push((line, cells));
                 parts.push(Vec::new());
                 continue;
             }
-            self.refuse_other_order(place, (*line, cells))?;
-            if below && self.heads_another(&all[k..]) {
+            if text {
+                self.refuse_other_order(place, (line, &cells))?;
+            }
+            let below = || parts.last().is_some_and(|part| part.iter().any(|(_, cells)| !is_text(cells)));
+            if heads && below() {
                 // Without a line between them it may be a remark, and what follows may belong to the table.
-                let apart = k > 0 && all[k - 1].0 + 1 < *line;
                 if !apart && cells.len() == self.columns.len() {
-                    let found = format!("names in place of numbers, {}", quote(&joined(cells)));
-                    let error = InputError::new(place.file, "rows of one table", found).at(*line);
+                    let found = format!("names in place of numbers, {}", quote(&joined(&cells)));
+                    let error = InputError::new(place.file, "rows of one table", found).at(line);
                     return Err(error.hint("another table? split the file; a remark? begin it with #"));
                 }
                 others.push(Vec::new());
                 elsewhere = true;
             }
-            match others.last_mut().filter(|_| elsewhere) {
-                Some(other) => other.push((*line, cells.clone())),
-                None => parts.last_mut().map_or((), |part| part.push((*line, cells.clone()))),
+            let rows = if elsewhere { others.last_mut() } else { parts.last_mut() };
+            if let Some(rows) = rows {
+                rows.push((line, cells));
             }
         }
         for (other, (line, cells)) in others.iter().filter_map(|other| Some((other, other.first()?))) {
@@ -295,7 +302,7 @@ impl Form {
         place: &Place<'_>,
         (line, cells): (usize, &StringRecord),
     ) -> Result<(), InputError> {
-        let found = if is_text(cells) { names(cells) } else { Vec::new() };
+        let found = names(cells);
         if place.asked.is_empty() || !place.asked.iter().all(|name| found.contains(name)) {
             return Ok(());
         }

@@ -152,14 +152,16 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
     let (purpose, warnings) = (Purpose::Holdout, &mut session.warnings);
     let mut known: Vec<String> =
         SCALAR_COLUMNS.iter().chain(&WHISKER_COLUMNS).map(|c| (*c).to_owned()).collect();
+    let mut units = Vec::new();
     if let SessionData::Transducer(data) = &session.data {
         known.extend(data.covariates.iter().cloned());
+        units.extend([("stimulus", data.stimulus_unit.as_str()), ("response", &data.response_unit)]);
     }
-    let table = match as_imported(path, &name, &session.imported, &known)? {
+    let table = match as_imported(path, &name, &session.imported, &known, &units)? {
         Some(table) => {
             let columns = session.imported.iter().map(|(own, text)| format!("{own} from {text}"));
             let columns = columns.collect::<Vec<_>>().join(", ");
-            let read = format!("read as the table that was imported: {columns}");
+            let read = format!("read as a table of the form that was imported, all rows held out: {columns}");
             let said = [read].into_iter().chain(table.remarks.clone()).chain(table.warnings.clone());
             warnings.extend(said.map(|text| SessionWarning::other(&name, text)));
             table

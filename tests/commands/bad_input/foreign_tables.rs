@@ -372,6 +372,19 @@ fn a_holdout_has_the_columns_of_the_table_that_was_imported() {
     assert!(verified == 0 && said.contains("stimulus from Kraft"), "{said}");
     assert!(said.contains("t_s from Uhrzeit since 11.03.2026 10:00"), "{said}");
     assert_eq!(predicted, 0, "{more}");
+    // The unit that a later table states is compared.
+    let (verified, said, predicted, more) =
+        held_out(head, &format!("{head}\n;;N;kV"), &[&asked[..], &["--response-unit", "V"]].concat());
+    assert!(verified == 1 && said.contains("expected V, as in the session, found kV"), "{said}");
+    assert!(predicted == 1 && more.contains("found kV"), "{more}");
+    let same = format!("{head}\n;;N;V");
+    let (verified, said, predicted, _) =
+        held_out(head, &same, &[&asked[..], &["--response-unit", "V"]].concat());
+    assert_eq!((verified, predicted), (0, 0), "control: {said}");
+    // A table of the session's names needs no numbers and roles.
+    let own = "Datum;t;stimulus;response";
+    let (verified, said, _, _) = held_out(own, own, &["--stimulus", "stimulus", "--response", "response"]);
+    assert!(verified == 0 && said.contains("all rows held out"), "{said}");
     // Control: another table, and one without a needed column.
     let (verified, said, predicted, _) = held_out(head, "Datum;Uhrzeit;x;y", &asked);
     assert!(verified == 1 && predicted == 1 && said.contains("expected"), "{said}");

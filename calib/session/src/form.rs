@@ -7,6 +7,8 @@ use crate::separated::{Separator, records};
 use crate::warning::named;
 use csv::StringRecord;
 
+/// Lines of text, of units and the like, that may stand between a header and its rows.
+const BELOW: usize = 8;
 /// Lines among which the header is looked for.
 const LOOK: usize = 2000;
 /// First line of a LabVIEW measurement file (.lvm), and the line that ends each of its headers.
@@ -281,10 +283,12 @@ impl Form {
     fn heads_another(&self, from: &[Record]) -> bool {
         let Some(((_, head), below)) = from.split_first() else { return false };
         let names = head.iter().filter(|cell| content(cell) == Content::Text).count();
-        let rows = below.iter().find(|(_, cells)| self.is_header(cells) || !is_text(cells));
+        let mut below = below.iter().take(BELOW);
         names > 1
             && names == head.len()
-            && rows.is_some_and(|(_, row)| row.len() == names && !self.is_header(row))
+            && below
+                .find(|(_, cells)| self.is_header(cells) || !is_text(cells))
+                .is_some_and(|(_, row)| row.len() == names && !self.is_header(row))
     }
 
     /// Says numbers in parentheses, which bookkeepers write for negative ones.

@@ -159,11 +159,11 @@ impl Plan {
 
     /// The time stamp that the times are counted from.
     pub(super) fn since(&self) -> Option<&str> {
-        let stamps = self.columns.iter().filter_map(|(_, source)| match source {
+        let mut stamps = self.columns.iter().filter_map(|(_, source)| match source {
             Source::Stamps { stamps, .. } => Some(stamps.first.as_str()),
             _ => None,
         });
-        stamps.last()
+        stamps.next()
     }
 
     /// What the arguments ask of a table; dated time stamps count from `since`, where another table of the session begins.

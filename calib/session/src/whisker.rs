@@ -99,7 +99,7 @@ pub(crate) fn read_rows(
     let mut warnings = unknown_columns(name, table.others(&required, &known)?);
     if !shifts && fbg.nominal_nm.is_none() {
         let expected = "two nominal wavelengths in nm, since the table holds fbg_1_nm";
-        return Err(InputError::new("session.toml", expected, "nothing").field("fbg.nominal_nm").into());
+        return Err(InputError::new("session.toml", expected, "nothing").field("fbg.nominal_nm"));
     }
     let mut out = vec![false; table.rows.len()];
     let sensed = [&gratings[..], &["temperature_degc"]].concat();

@@ -27,3 +27,9 @@ pub(crate) fn option_of(name: &str) -> Option<&'static str> {
     let words: Vec<&str> = name.split(|c: char| !c.is_alphanumeric()).collect();
     WORDS.iter().find(|(_, of)| words.iter().any(|word| of.contains(word))).map(|(option, _)| *option)
 }
+
+/// A name as a shell takes it for one word.
+pub(super) fn shell_word(name: &str) -> String {
+    let plain = name.chars().all(|c| c.is_alphanumeric() || matches!(c, '_' | '-' | '.'));
+    if plain { name.to_owned() } else { format!("'{name}'") }
+}

@@ -2,7 +2,7 @@
 
 use super::arguments::ImportArgs;
 use super::columns::{Plan, WAY_IN};
-use super::hints::option_of;
+use super::hints::{option_of, shell_word};
 use super::units::is_uncertainty;
 use crate::output::{OutputFolder, ResultKind, first_line};
 use crate::simulated::word;
@@ -89,12 +89,6 @@ impl Noticed {
         }
         Self { remarks, warnings }
     }
-}
-
-/// A name as a shell takes it for one word.
-pub(super) fn shell_word(name: &str) -> String {
-    let plain = name.chars().all(|c| c.is_alphanumeric() || matches!(c, '_' | '-' | '.'));
-    if plain { name.to_owned() } else { format!("'{name}'") }
 }
 
 /// Says what was imported, and what was odd about it; exit code 3 where the new session carries warnings.

@@ -1,8 +1,9 @@
 //! Columns of a foreign table as they are asked for, and tables of the form that a session was imported from.
 
-use crate::error::{InputError, SessionError};
+use crate::cell::is_missing;
+use crate::error::{InputError, SessionError, quote};
 use crate::quantity::{Relation, relation};
-use crate::stamp::is_stamp;
+use crate::stamp::{self, is_stamp};
 use crate::table::{TextTable, TextTableLayout, read_text_table};
 use csv::StringRecord;
 use std::collections::BTreeMap;
@@ -41,7 +42,76 @@ fn split(text: &str) -> (&str, Option<f64>, Option<&str>) {
     }
 }
 
+/// Times of a column of time stamps.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stamps {
+    /// Seconds after `first`, by row.
+    pub times: Vec<Option<f64>>,
+    /// The column that the date, or the clock, was read from.
+    pub other: Option<usize>,
+    /// They have a date.
+    pub dated: bool,
+    /// The stamp that seconds are counted from.
+    pub first: String,
+}
+
 impl TextTable {
+    /// Times of a column of time stamps, empty cells left out; none where it holds numbers. Where the date stands in one column and the clock in
+    /// another, both are read.
+    ///
+    /// # Errors
+    /// Where a cell is no time stamp beside others that are, or day and month could be exchanged.
+    pub fn stamps(&self, asked: &AskedColumn) -> Result<Option<Stamps>, InputError> {
+        let column = asked.index;
+        let held: Vec<usize> = (0..self.rows.len()).filter(|&row| !self.lacks(row, column)).collect();
+        let cell = |row: usize, column: usize| &self.rows[row].1[column];
+        let beside = if self.is_foreign() { self.other_part(column, &held) } else { None };
+        if !self.is_foreign() || beside.is_none() && !held.iter().any(|&row| is_stamp(cell(row, column))) {
+            return Ok(None);
+        }
+        let text = |&row: &usize| match beside {
+            Some((date, clock)) => format!("{} {}", cell(row, date), cell(row, clock)),
+            None => cell(row, column).to_owned(),
+        };
+        let cells: Vec<String> = held.iter().map(text).collect();
+        let dated = cells.first().filter(|first| !stamp::is_clock(first));
+        let since = asked.since.as_ref().filter(|_| dated.is_some());
+        let all: Vec<&str> = since.into_iter().chain(&cells).map(String::as_str).collect();
+        let before = all.len() - cells.len();
+        let seconds = stamp::seconds(&all).map_err(|(k, expected)| {
+            let row = held[k.saturating_sub(before)];
+            InputError::new(&self.file, expected, quote(all[k]))
+                .at(self.rows[row].0)
+                .field(&self.columns[column])
+        })?;
+        let mut times = vec![None; self.rows.len()];
+        held.iter().zip(&seconds[before..]).for_each(|(row, time)| times[*row] = Some(*time));
+        let other = beside.map(|(date, clock)| if date == column { clock } else { date });
+        let first = since.cloned().or_else(|| cells.first().cloned()).unwrap_or_default();
+        Ok(Some(Stamps { times, other, dated: dated.is_some(), first }))
+    }
+
+    /// Whether a cell holds nothing, or a word for a missing value.
+    fn lacks(&self, row: usize, column: usize) -> bool {
+        let cell = &self.rows[row].1[column];
+        cell.is_empty() || is_missing(cell)
+    }
+
+    /// Columns of the date and of the clock, one of them `column`, the other the nearest that holds nothing else.
+    fn other_part(&self, column: usize, held: &[usize]) -> Option<(usize, usize)> {
+        let all = |column: usize, is: fn(&str) -> bool| {
+            !held.is_empty() && held.iter().all(|&row| is(&self.rows[row].1[column]))
+        };
+        let nearest = |is: fn(&str) -> bool| {
+            let others = (0..self.columns.len()).filter(|&k| k != column && all(k, is));
+            others.min_by_key(|k| k.abs_diff(column))
+        };
+        if all(column, stamp::is_time_of_day) {
+            return nearest(stamp::is_date).map(|date| (date, column));
+        }
+        all(column, stamp::is_date).then(|| nearest(stamp::is_time_of_day).map(|clock| (column, clock)))?
+    }
+
     /// The column that a text asks for.
     ///
     /// # Errors

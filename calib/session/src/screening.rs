@@ -64,12 +64,12 @@ pub(crate) fn copied(
     let readings = gauge.map(|name| column(table, name)).transpose()?;
     let coarse = readings.is_some_and(|values| is_coarse(kept.iter().filter_map(|&k| values[k])));
     let mut again = if kept.len() > MAX_ROWS { Vec::new() } else { copies(table, &kept) };
-    let by_chance = || match gauge.and_then(|name| agreement(table, name, &kept, &again)) {
-        Some(share) => share.powi(again.len() as i32) * kept.len() as f64 > CHANCE,
-        None => true,
-    };
-    if coarse && by_chance() {
-        again.clear();
+    if coarse {
+        // Runs of rows that follow each other, each by itself.
+        let share = gauge.and_then(|name| agreement(table, name, &kept, &again));
+        let seldom =
+            |run: &[usize]| share.is_some_and(|p| p.powi(run.len() as i32) * kept.len() as f64 <= CHANCE);
+        again = again.chunk_by(|a, b| a + 1 == *b).filter(|run| seldom(run)).flatten().copied().collect();
     }
     if again.is_empty() {
         return Ok(None);
@@ -138,23 +138,21 @@ fn is_coarse(readings: impl Iterator<Item = f64> + Clone) -> bool {
     !(high > low) || readings.into_iter().all(|v| (v / unit - (v / unit).round()).abs() < 1e-6)
 }
 
-/// How often a reading of the gauge agrees with the one before at the same place, of rows that are no copies; none where few are repeats.
+/// How often two readings of the gauge at one place agree, copies and their sources apart; none where few are repeats.
 fn agreement(table: &TextTable, gauge: &str, kept: &[usize], copies: &[usize]) -> Option<f64> {
     let without = ["point", "t_s", gauge].map(|name| table.place(name));
-    let copies: HashSet<&usize> = copies.iter().collect();
-    let mut before = HashMap::new();
-    let (mut pairs, mut alike) = (0, 0);
-    for &k in kept.iter().filter(|k| !copies.contains(*k)) {
+    let mut places: HashMap<Vec<&str>, HashMap<Option<&str>, usize>> = HashMap::new();
+    for &k in kept {
         let cells = &table.rows[k].1;
         let set = cells.iter().enumerate().filter(|(column, _)| !without.contains(&Some(*column)));
-        let place: Vec<&str> = set.map(|(_, cell)| cell).collect();
         let reading = without[2].map(|column| &cells[column]);
-        if let Some(earlier) = before.insert(place, reading) {
-            pairs += 1;
-            alike += usize::from(earlier == reading);
-        }
+        *places.entry(set.map(|(_, cell)| cell).collect()).or_default().entry(reading).or_default() += 1;
     }
-    (pairs >= MIN_PAIRS).then(|| (alike + 1) as f64 / (pairs + 2) as f64)
+    let pairs = |count: usize| count * (count - 1) / 2;
+    let all: usize = places.values().map(|readings| pairs(readings.values().sum())).sum();
+    let alike: usize = places.values().flat_map(HashMap::values).map(|count| pairs(*count)).sum();
+    let [all, alike] = [all, alike].map(|count| count.saturating_sub(copies.len()));
+    (all >= MIN_PAIRS).then(|| (alike + 1) as f64 / (all + 2) as f64)
 }
 
 /// The rows of `kept` that repeat an earlier one in every cell: with its point number or its time, or in a block of rows that follow each other
@@ -304,7 +302,9 @@ mod tests {
         // Four decimals are coarse, but repeats that scatter over several of them do not agree eight times in a row; those of a quiet gauge may.
         assert_eq!(read(table(&sweeps(3, 8.0, 3), 11..19)), (35..43).collect::<Vec<_>>());
         assert!(read(table(&sweeps(3, 0.6, 3), 11..19)).is_empty());
-        assert!(read(table(&sweeps(3, 8.0, 3), [])).is_empty());
+        for (count, noise) in [(3, 8.0), (60, 0.15), (60, 0.3), (60, 0.6)] {
+            assert!(read(table(&sweeps(count, noise, 3), [])).is_empty(), "{count} {noise}");
+        }
         // A time is read once.
         let timed = "point,t_s,response\n0,1.5,0.123456\n1,2.5,0.234567\n2,1.5,0.123456\n";
         assert_eq!(copied_lines(timed, Some("response")), [4]);

@@ -4,10 +4,8 @@
 use crate::cell::{Content, content, direction, grouped, is_missing, name_of, plain};
 use crate::columns::column_range;
 use crate::error::{InputError, SessionError, listed, not_utf8, quote};
-use crate::foreign::AskedColumn;
 use crate::form::{Form, Place, Preamble};
 use crate::separated::{Separator, other_separator, records};
-use crate::stamp::{self, is_stamp};
 use crate::units::split_unit;
 use crate::warning::{SessionWarning, WarningKind};
 use csv::StringRecord;
@@ -75,19 +73,6 @@ pub struct TextTable {
     decimal_comma: bool,
     /// The separator that its lines have in place of the stated one.
     hint: Option<String>,
-}
-
-/// Times of a column of time stamps.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Stamps {
-    /// Seconds after `first`, by row.
-    pub times: Vec<Option<f64>>,
-    /// The column that the date, or the clock, was read from.
-    pub other: Option<usize>,
-    /// They have a date.
-    pub dated: bool,
-    /// The stamp that seconds are counted from.
-    pub first: String,
 }
 
 /// Reads a foreign table; its lines end in LF, CR LF or CR.
@@ -306,6 +291,11 @@ impl TextTable {
         (0..self.columns.len()).filter(|&k| self.columns[k] == name).collect()
     }
 
+    /// Whether cells may have the forms of other programs.
+    pub(crate) fn is_foreign(&self) -> bool {
+        self.foreign
+    }
+
     /// The same file as a table of a session.
     pub(crate) fn of_session(
         self,
@@ -316,62 +306,6 @@ impl TextTable {
         let file = name.to_owned();
         let ranges = columns.iter().map(|column| column_range(column)).collect();
         Self { file, columns, rows, ranges, foreign: false, decimal_comma: false, ..self }
-    }
-
-    /// Times of a column of time stamps, empty cells left out; none where it holds numbers. Where the date stands in one column and the clock in
-    /// another, both are read.
-    ///
-    /// # Errors
-    /// Where a cell is no time stamp beside others that are, or day and month could be exchanged.
-    pub fn stamps(&self, asked: &AskedColumn) -> Result<Option<Stamps>, InputError> {
-        let column = asked.index;
-        let held: Vec<usize> = (0..self.rows.len()).filter(|&row| !self.lacks(row, column)).collect();
-        let cell = |row: usize, column: usize| &self.rows[row].1[column];
-        let beside = if self.foreign { self.other_part(column, &held) } else { None };
-        if !self.foreign || beside.is_none() && !held.iter().any(|&row| is_stamp(cell(row, column))) {
-            return Ok(None);
-        }
-        let text = |&row: &usize| match beside {
-            Some((date, clock)) => format!("{} {}", cell(row, date), cell(row, clock)),
-            None => cell(row, column).to_owned(),
-        };
-        let cells: Vec<String> = held.iter().map(text).collect();
-        let dated = cells.first().filter(|first| !stamp::is_clock(first));
-        let since = asked.since.as_ref().filter(|_| dated.is_some());
-        let all: Vec<&str> = since.into_iter().chain(&cells).map(String::as_str).collect();
-        let before = all.len() - cells.len();
-        let seconds = stamp::seconds(&all).map_err(|(k, expected)| {
-            let row = held[k.saturating_sub(before)];
-            InputError::new(&self.file, expected, quote(all[k]))
-                .at(self.rows[row].0)
-                .field(&self.columns[column])
-        })?;
-        let mut times = vec![None; self.rows.len()];
-        held.iter().zip(&seconds[before..]).for_each(|(row, time)| times[*row] = Some(*time));
-        let other = beside.map(|(date, clock)| if date == column { clock } else { date });
-        let first = since.cloned().or_else(|| cells.first().cloned()).unwrap_or_default();
-        Ok(Some(Stamps { times, other, dated: dated.is_some(), first }))
-    }
-
-    /// Whether a cell holds nothing, or a word for a missing value.
-    fn lacks(&self, row: usize, column: usize) -> bool {
-        let cell = &self.rows[row].1[column];
-        cell.is_empty() || is_missing(cell)
-    }
-
-    /// Columns of the date and of the clock, one of them `column`, the other the nearest that holds nothing else.
-    fn other_part(&self, column: usize, held: &[usize]) -> Option<(usize, usize)> {
-        let all = |column: usize, is: fn(&str) -> bool| {
-            !held.is_empty() && held.iter().all(|&row| is(&self.rows[row].1[column]))
-        };
-        let nearest = |is: fn(&str) -> bool| {
-            let others = (0..self.columns.len()).filter(|&k| k != column && all(k, is));
-            others.min_by_key(|k| k.abs_diff(column))
-        };
-        if all(column, stamp::is_time_of_day) {
-            return nearest(stamp::is_date).map(|date| (date, column));
-        }
-        all(column, stamp::is_date).then(|| nearest(stamp::is_time_of_day).map(|clock| (column, clock)))?
     }
 
     /// +1 or -1 of a cell of a direction, by its sign, number or word.

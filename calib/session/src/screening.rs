@@ -65,12 +65,15 @@ pub(crate) fn copied(
     let coarse = readings.is_some_and(|values| is_coarse(kept.iter().filter_map(|&k| values[k])));
     let mut again = if kept.len() > MAX_ROWS { Vec::new() } else { copies(table, &kept) };
     if coarse {
-        // Runs of rows that follow each other, each by itself.
-        let share = gauge.and_then(|name| agreement(table, name, &kept, &again));
+        // Each block by itself, wherever it could begin and whatever it could repeat.
+        let share = gauge.and_then(|name| agreement(table, name, &kept, again.len()));
+        let ways = (kept.len() as f64).powi(2);
         let seldom =
-            |run: &[usize]| share.is_some_and(|p| p.powi(run.len() as i32) * kept.len() as f64 <= CHANCE);
-        again = again.chunk_by(|a, b| a + 1 == *b).filter(|run| seldom(run)).flatten().copied().collect();
+            |block: &[(usize, usize)]| share.is_some_and(|p| p.powi(block.len() as i32) * ways <= CHANCE);
+        let blocks = again.chunk_by(|a, b| a.0 + 1 == b.0 && a.1 == b.1);
+        again = blocks.filter(|block| seldom(block)).flatten().copied().collect();
     }
+    let again: Vec<usize> = again.into_iter().map(|(k, _)| k).collect();
     if again.is_empty() {
         return Ok(None);
     }
@@ -139,7 +142,7 @@ fn is_coarse(readings: impl Iterator<Item = f64> + Clone) -> bool {
 }
 
 /// How often two readings of the gauge at one place agree, copies and their sources apart; none where few are repeats.
-fn agreement(table: &TextTable, gauge: &str, kept: &[usize], copies: &[usize]) -> Option<f64> {
+fn agreement(table: &TextTable, gauge: &str, kept: &[usize], copies: usize) -> Option<f64> {
     let without = ["point", "t_s", gauge].map(|name| table.place(name));
     let mut places: HashMap<Vec<&str>, HashMap<Option<&str>, usize>> = HashMap::new();
     for &k in kept {
@@ -151,13 +154,13 @@ fn agreement(table: &TextTable, gauge: &str, kept: &[usize], copies: &[usize]) -
     let pairs = |count: usize| count * (count - 1) / 2;
     let all: usize = places.values().map(|readings| pairs(readings.values().sum())).sum();
     let alike: usize = places.values().flat_map(HashMap::values).map(|count| pairs(*count)).sum();
-    let [all, alike] = [all, alike].map(|count| count.saturating_sub(copies.len()));
+    let [all, alike] = [all, alike].map(|count| count.saturating_sub(copies));
     (all >= MIN_PAIRS).then(|| (alike + 1) as f64 / (all + 2) as f64)
 }
 
 /// The rows of `kept` that repeat an earlier one in every cell: with its point number or its time, or in a block of rows that follow each other
-/// as they do there.
-fn copies(table: &TextTable, kept: &[usize]) -> Vec<usize> {
+/// as they do there; each with how far before it that row stands.
+fn copies(table: &TextTable, kept: &[usize]) -> Vec<(usize, usize)> {
     let [point, time] = ["point", "t_s"].map(|name| table.place(name));
     let cells = |k: usize, without: Option<usize>| -> Vec<&str> {
         let all = table.rows[k].1.iter().enumerate();
@@ -165,7 +168,7 @@ fn copies(table: &TextTable, kept: &[usize]) -> Vec<usize> {
     };
     let rows: Vec<Vec<&str>> = kept.iter().map(|&k| cells(k, point)).collect();
     let (mut first, mut whole) = (HashMap::new(), HashSet::new());
-    let mut copied = vec![false; rows.len()];
+    let mut copied = vec![0; rows.len()];
     // Each row of a block is a copy of the one that stands so many rows before it.
     let (mut block, mut back) = (0..0, 0);
     for (k, row) in rows.iter().enumerate() {
@@ -177,12 +180,15 @@ fn copies(table: &TextTable, kept: &[usize]) -> Vec<usize> {
             (false, before) => (k..k + 1, before),
         };
         if block.len() >= MIN_BLOCK {
-            copied[block.clone()].fill(true);
+            copied[block.clone()].fill(back);
         }
         let timed = time.is_some_and(|column| !table.rows[kept[k]].1[column].is_empty());
-        copied[k] |= (timed && before > 0) | !whole.insert(cells(kept[k], None));
+        let again = !whole.insert(cells(kept[k], None)) || timed && before > 0;
+        if again && copied[k] == 0 {
+            copied[k] = before;
+        }
     }
-    kept.iter().zip(copied).filter(|(_, copied)| *copied).map(|(k, _)| *k).collect()
+    kept.iter().copied().zip(copied).filter(|(_, back)| *back > 0).collect()
 }
 
 /// Two columns that stand in each other's place from some row on: the settings of the rows before are read in the other column then, to the last

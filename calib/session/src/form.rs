@@ -1,6 +1,6 @@
 //! The form of a table of another program: where its header and its rows are, and which lines are neither.
 
-use crate::cell::{Content, content, grouped, is_accounted, name_of};
+use crate::cell::{Content, content, grouped, is_accounted, name_of, one_of};
 use crate::error::{InputError, listed, quote};
 use crate::quantity::{is_unit, written};
 use crate::separated::{Separator, records};
@@ -404,30 +404,10 @@ fn begins_like_number(cell: &str) -> bool {
 
 /// Names of what is computed of a column and written below it.
 fn is_statistic(cell: &str) -> bool {
-    const NAMES: [&str; 20] = [
-        "mean",
-        "average",
-        "avg",
-        "median",
-        "sum",
-        "total",
-        "min",
-        "minimum",
-        "max",
-        "maximum",
-        "std",
-        "stdev",
-        "std dev",
-        "sd",
-        "standard deviation",
-        "mittelwert",
-        "mittel",
-        "summe",
-        "stabw",
-        "standardabweichung",
-    ];
+    const NAMES: &str = "mean|average|avg|median|sum|total|min|minimum|max|maximum|std|stdev|std dev|sd\
+        |standard deviation|mittelwert|mittel|summe|stabw|standardabweichung";
     let word = cell.to_lowercase().replace('.', "");
-    NAMES.contains(&word.trim_end_matches(':').trim())
+    one_of(NAMES, word.trim_end_matches(':').trim())
 }
 
 fn is_comment(cells: &StringRecord) -> bool {

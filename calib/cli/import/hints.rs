@@ -28,8 +28,12 @@ pub(crate) fn option_of(name: &str) -> Option<&'static str> {
     WORDS.iter().find(|(_, of)| words.iter().any(|word| of.contains(word))).map(|(option, _)| *option)
 }
 
-/// A name as a shell takes it for one word.
-pub(super) fn shell_word(name: &str) -> String {
-    let plain = name.chars().all(|c| c.is_alphanumeric() || matches!(c, '_' | '-' | '.'));
-    if plain { name.to_owned() } else { format!("'{name}'") }
+/// A word as a shell takes it.
+pub(crate) fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_alphanumeric() || "._-/=+:@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
 }

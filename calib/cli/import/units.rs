@@ -1,6 +1,6 @@
 //! Units of the foreign table: those that stand in its names and below its header become the session's.
 
-use super::hints::shell_word;
+use super::hints::quoted;
 use anyhow::bail;
 use wcal_core::text::number;
 use wcal_session::{
@@ -164,7 +164,7 @@ pub(super) fn signal(
         match (last, stated) {
             (unit, None) => remarks.push(format!(
                 "{file}: no unit of {name} is stated, taken as 1 ({option}-unit {} states it)",
-                unit.map_or("UNIT".to_owned(), shell_word)
+                unit.map_or("UNIT".to_owned(), quoted)
             )),
             (Some(unit), Some(stated)) if unit.len() > 1 && unit != stated => {
                 remarks

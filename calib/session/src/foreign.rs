@@ -170,8 +170,8 @@ impl TextTable {
     }
 }
 
-/// A table of the form that a session was imported from, as a table of that session which messages call `name`; none where it has the session's columns itself, or none of
-/// those of the import.
+/// A table of the form that a session was imported from, as a table of that session which messages call `name`, with the session's `units` of
+/// columns; none where it has the session's columns itself, or neither these nor those of the import.
 ///
 /// # Errors
 /// Where a column or a cell cannot be used.

@@ -76,13 +76,19 @@ impl Preamble {
         if self.separator.is_some() {
             return;
         }
+        let lines: Vec<&str> = text.lines().filter(|line| !line.trim().is_empty()).take(LOOK).collect();
+        // A line of names, not a remark that has one of them: the next one has as many fields.
         let found = |separator: Separator| {
-            let named = |line: &str| {
-                let names =
-                    records(line, 1, separator).first().map(|(_, cells)| names(cells)).unwrap_or_default();
-                asked.iter().filter(|name| names.contains(name)).count()
+            let cells = |line: &str| records(line, 1, separator).into_iter().next().map(|(_, cells)| cells);
+            let named = |pair: &[&str]| {
+                let head = cells(pair[0]).filter(|head| names(head).iter().any(|name| asked.contains(name)));
+                let head = head.filter(|head| cells(pair[1]).is_some_and(|below| below.len() == head.len()));
+                head.map_or(0, |head| {
+                    let names = names(&head);
+                    asked.iter().filter(|name| names.contains(name)).count()
+                })
             };
-            text.lines().take(LOOK).map(named).max().unwrap_or(0)
+            lines.windows(2).map(named).max().unwrap_or(0)
         };
         if found(Separator::Comma) > 0 {
             return;

@@ -62,6 +62,11 @@ fn a_table_in_another_form_is_read_and_the_option_named() {
     for (text, options, says) in [
         (TEXT.replace(',', ";"), &["--separator", "tab"][..], "a column Force (N)"),
         ("Force (N);Signal (mV/V)\n0;1,500\n500;2,500\n".to_owned(), &[], "thousands separator"),
+        (
+            "# the\tForce (N)\tof a cell\nForce,Signal\n1,2\n2,3\n".to_owned(),
+            &[],
+            "found the columns Force, Signal",
+        ),
     ] {
         let place = tempfile::tempdir().unwrap();
         fs::write(place.path().join("t.csv"), text).unwrap();

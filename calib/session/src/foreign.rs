@@ -2,7 +2,7 @@
 
 use crate::cell::is_missing;
 use crate::error::{InputError, SessionError, quote};
-use crate::quantity::{Relation, relation};
+use crate::quantity::{Relation, bracketed, relation};
 use crate::stamp::{self, is_stamp};
 use crate::table::{TextTable, TextTableLayout, read_text_table};
 use csv::StringRecord;
@@ -66,12 +66,21 @@ impl TextTable {
         let held: Vec<usize> = (0..self.rows.len()).filter(|&row| !self.lacks(row, column)).collect();
         let cell = |row: usize, column: usize| &self.rows[row].1[column];
         let beside = if self.is_foreign() { self.other_part(column, &held) } else { None };
-        if !self.is_foreign() || beside.is_none() && !held.iter().any(|&row| is_stamp(cell(row, column))) {
+        // Two numbers with a colon are what the name says of them.
+        let stated = bracketed(&self.columns[column]).map(str::to_lowercase);
+        let [minutes, hours] = ["mm:ss", "hh:mm"].map(|form| stated.as_deref() == Some(form));
+        let alone = |&row: &usize| match cell(row, column) {
+            text if text.matches(':').count() != 1 => text.to_owned(),
+            text if minutes => format!("0:{text}"),
+            text if hours => format!("{text}:00"),
+            text => text.to_owned(),
+        };
+        if !self.is_foreign() || beside.is_none() && !held.iter().any(|row| is_stamp(&alone(row))) {
             return Ok(None);
         }
-        let text = |&row: &usize| match beside {
-            Some((date, clock)) => format!("{} {}", cell(row, date), cell(row, clock)),
-            None => cell(row, column).to_owned(),
+        let text = |row: &usize| match beside {
+            Some((date, clock)) => format!("{} {}", cell(*row, date), cell(*row, clock)),
+            None => alone(row),
         };
         let cells: Vec<String> = held.iter().map(text).collect();
         let dated = cells.first().filter(|first| !stamp::is_clock(first));

@@ -381,7 +381,9 @@ impl TextTable {
                 Err(error("a number")
                     .hint("decimals with a comma (--decimal-comma), or a thousands separator?"))
             }
-            Err(_) if cell.contains(':') => Err(error("a number").hint("a time of the day? write hh:mm:ss")),
+            Err(_) if cell.contains(':') => {
+                Err(error("a number").hint("a time of the day? write hh:mm:ss, or name the column t [mm:ss]"))
+            }
             Err(_) => Err(error("a number")),
         }
     }

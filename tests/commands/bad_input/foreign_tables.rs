@@ -166,6 +166,8 @@ fn times_are_in_the_unit_that_the_table_states_or_it_is_asked() {
         ("Zeit (min)", &|k: usize| (20 * k).to_string()),
         ("Zeit [Tage]", &|k: usize| format!("{:.7}", 45720.4 + k as f64 / 72.0)),
         ("clock", &clock),
+        ("t [mm:ss]", &|k| format!("{:02}:00", 20 * k)),
+        ("Zeit (hh:mm)", &|k| format!("{}:{:02}", 10 + k / 3, 20 * (k % 3))),
         ("stamp", &stamp),
         ("day first", &|k: usize| format!("0{}.03.2025 {}", 4 + usize::from(k > 0), clock(k))),
     ] {
@@ -184,6 +186,9 @@ fn times_are_in_the_unit_that_the_table_states_or_it_is_asked() {
         let (found, _, said) = seconds(&timed("t", time), "t");
         assert!(found == code && said.contains(way), "{said}");
     }
+    // Control: nothing says which of the two they are.
+    let (code, _, said) = seconds(&timed("t", |k| format!("{:02}:00", 20 * k)), "t");
+    assert!(code == 1 && said.contains("write hh:mm:ss"), "{said}");
     let units = |below: &str, more: &[&str]| import(&under(&format!("load,sig\n{below}"), &plain()), more);
     let (code, said, _) = units("kN,mV", &["--stimulus-unit", "N"]);
     assert!(code == 1 && said.contains("load*1000"), "{said}");

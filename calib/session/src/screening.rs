@@ -65,11 +65,11 @@ pub(crate) fn copied(
     let coarse = readings.is_some_and(|values| is_coarse(kept.iter().filter_map(|&k| values[k])));
     let mut again = if kept.len() > MAX_ROWS { Vec::new() } else { copies(table, &kept) };
     if coarse {
-        // Each block by itself, wherever it could begin and whatever it could repeat.
-        let share = gauge.and_then(|name| agreement(table, name, &kept, again.len()));
-        let ways = (kept.len() as f64).powi(2);
-        let seldom =
-            |block: &[(usize, usize)]| share.is_some_and(|p| p.powi(block.len() as i32) * ways <= CHANCE);
+        // Each block by itself: it could begin with any two repeats of a place.
+        let repeats = gauge.and_then(|name| agreement(table, name, &kept, again.len()));
+        let seldom = |block: &[(usize, usize)]| {
+            repeats.is_some_and(|(pairs, share)| share.powi(block.len() as i32) * pairs <= CHANCE)
+        };
         let blocks = again.chunk_by(|a, b| a.0 + 1 == b.0 && a.1 == b.1);
         again = blocks.filter(|block| seldom(block)).flatten().copied().collect();
     }
@@ -141,8 +141,8 @@ fn is_coarse(readings: impl Iterator<Item = f64> + Clone) -> bool {
     !(high > low) || readings.into_iter().all(|v| (v / unit - (v / unit).round()).abs() < 1e-6)
 }
 
-/// How often two readings of the gauge at one place agree, copies and their sources apart; none where few are repeats.
-fn agreement(table: &TextTable, gauge: &str, kept: &[usize], copies: usize) -> Option<f64> {
+/// Pairs of readings of the gauge at one place, and how often they agree, copies and their sources apart; none where few are repeats.
+fn agreement(table: &TextTable, gauge: &str, kept: &[usize], copies: usize) -> Option<(f64, f64)> {
     let without = ["point", "t_s", gauge].map(|name| table.place(name));
     let mut places: HashMap<Vec<&str>, HashMap<Option<&str>, usize>> = HashMap::new();
     for &k in kept {
@@ -154,8 +154,8 @@ fn agreement(table: &TextTable, gauge: &str, kept: &[usize], copies: usize) -> O
     let pairs = |count: usize| count * (count - 1) / 2;
     let all: usize = places.values().map(|readings| pairs(readings.values().sum())).sum();
     let alike: usize = places.values().flat_map(HashMap::values).map(|count| pairs(*count)).sum();
-    let [all, alike] = [all, alike].map(|count| count.saturating_sub(copies));
-    (all >= MIN_PAIRS).then(|| (alike + 1) as f64 / (all + 2) as f64)
+    let [others, alike] = [all, alike].map(|count| count.saturating_sub(copies));
+    (others >= MIN_PAIRS).then(|| (all as f64, (alike + 1) as f64 / (others + 2) as f64))
 }
 
 /// The rows of `kept` that repeat an earlier one in every cell: with its point number or its time, or in a block of rows that follow each other

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use wcal_calibration::{CalibrationModel, WireParts, provenance, seal};
 use wcal_core::map_document::{MapDocument, RestZero};
+use wcal_core::text::chance;
 use wcal_core::{Role, SessionData, VerificationStatus, WhiskerData, WhiskerRow};
 use wcal_map::{FitOptions, MapTraining, document, fit_map, test_rest};
 use wcal_session::load;
@@ -212,7 +213,8 @@ fn print_text(result: &MapDocument) {
             "the zero of the loaded poses"
         };
         println!(
-            "{readings} readings at rest: {verdict} (they put the free wire at {a:.3} / {b:.3} N mm, p = {p_value:.2e})"
+            "{readings} readings at rest: {verdict} (they put the free wire at {a:.3} / {b:.3} N mm, {})",
+            chance(*p_value)
         );
     }
     println!("condition number of wavelength from moment: {:.2}", result.identifiability.condition);

@@ -13,7 +13,7 @@ use anyhow::Context;
 pub use arguments::ImportArgs;
 use arguments::{Kind, layout, name_of};
 use columns::Plan;
-pub(crate) use hints::option_of;
+pub(crate) use hints::{option_of, quoted};
 pub use imported::ImportDocument;
 use imported::{Noticed, RESULT, refuse_other_tables, say};
 use std::process::ExitCode;
@@ -34,7 +34,8 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<ExitCode> {
     for (name, path) in [("points.csv", Some(&args.file)), ("holdout.csv", args.holdout.as_ref())] {
         let Some(path) = path else { continue };
         let table = read_text_table(path, &layout)?;
-        let mut plan = Plan::new(args, &table)?;
+        let since = plans.first().and_then(|(plan, _): &(Plan, _)| plan.since());
+        let mut plan = Plan::new(args, &table, since)?;
         let points = plan.points(&table, args.kind)?;
         files.tables.push((name.to_owned(), points.csv.clone()));
         sources.push(table);

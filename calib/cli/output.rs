@@ -21,7 +21,9 @@ use wcal_core::text::brief;
 /// Consent to write where something else is.
 #[derive(Clone, Copy, Debug, Args)]
 pub struct Overwrite {
-    /// Write to --out although something else is there: files of the result's names are replaced, files of other names stay
+    /// Write to --out although something else is there
+    ///
+    /// Files of the result's names are replaced, files of other names stay.
     #[arg(long)]
     pub force: bool,
 }

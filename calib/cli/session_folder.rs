@@ -1,6 +1,6 @@
 //! The argument SESSION: a folder, not the table that may become one.
 
-use crate::import::option_of;
+use crate::import::{option_of, quoted};
 use anyhow::{Context, Result, anyhow, bail};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -96,14 +96,4 @@ fn import_line(table: &Path, header: &str, first: &str) -> String {
         line += " --model linear";
     }
     format!("{line} --out {}", quoted(&target(table)))
-}
-
-/// A word as a shell takes it.
-fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_alphanumeric() || "._-/=+:@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
-    }
 }

@@ -12,7 +12,6 @@ use crate::session_folder::expect_session;
 use crate::simulated::{is_simulated, mark_table};
 use anyhow::{Context, bail};
 use clap::Args;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use text::{predictions_csv, scalar_csv};
@@ -382,18 +381,11 @@ fn of_scalar_session(
             _ => None,
         },
         model: done.model.clone().map(|model| {
-            CalibrationModel::Scalar(ScalarModel { columns: imported_columns(session), ..model })
+            CalibrationModel::Scalar(ScalarModel { columns: session.imported.clone(), ..model })
         }),
         contact: None,
         report: of_scalar(session, (data, count), &done, provenance),
     })
-}
-
-/// Columns of the table that a session was imported from, by their names in it.
-fn imported_columns(session: &LoadedSession) -> BTreeMap<String, String> {
-    let columns = session.meta.get("provenance").and_then(|p| p.get("columns")?.as_table());
-    let text = |(name, column): (&String, &toml::Value)| Some((name.clone(), column.as_str()?.to_owned()));
-    columns.into_iter().flatten().filter_map(text).collect()
 }
 
 fn add_notes(document: &mut VerifyDocument, session: &LoadedSession, seen: bool) {

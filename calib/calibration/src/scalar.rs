@@ -5,7 +5,8 @@ use crate::error::CalibrationError;
 use std::collections::BTreeMap;
 use std::path::Path;
 use wcal_core::observation::Role;
-use wcal_session::{TextTable, TextTableLayout, read_text_table};
+use wcal_core::text::number;
+use wcal_session::{TextTable, TextTableLayout, asked_name, read_text_table};
 use wcal_trace::scalar::{ScalarModel, ScalarRow, judgement};
 use wcal_trace::verify::judgement::JudgedReading;
 
@@ -16,27 +17,10 @@ struct Columns<'a> {
 }
 
 impl Columns<'_> {
-    /// Place of a column, and the factor that its cells are multiplied by.
-    fn place(&self, name: &str) -> Option<(usize, f64)> {
-        let place = |name: &str| self.table.columns_named(name).first().copied();
-        let own = || {
-            let text = self.own.get(name)?;
-            let factor = text.rsplit_once('*').filter(|_| place(text).is_none());
-            let (column, factor) = factor.map_or((text.as_str(), Some(1.0)), |(c, f)| (c, f.parse().ok()));
-            place(column).zip(factor)
-        };
-        self.table.columns.iter().position(|c| c == name).map(|index| (index, 1.0)).or_else(own)
-    }
-
     /// Numbers of a column that may have gaps; none where the table has no such column.
     fn gappy(&self, name: &str) -> Result<Option<Vec<Option<f64>>>, CalibrationError> {
-        let Some((index, factor)) = self.place(name) else { return Ok(None) };
-        let cell = |row: usize| match name {
-            "direction" => self.table.direction(row, index),
-            _ => self.table.number(row, index),
-        };
-        let value = |row: usize| Ok(cell(row)?.map(|v| v * factor));
-        (0..self.table.rows.len()).map(value).collect::<Result<Vec<_>, _>>().map(Some)
+        let column = self.table.imported(name, self.own);
+        Ok(column.map(|column| self.table.values(name, &column)).transpose()?)
     }
 
     /// A column of numbers without gaps; none where the table has no such column.
@@ -44,7 +28,7 @@ impl Columns<'_> {
         let Some(values) = self.gappy(name)? else {
             if required {
                 let own = self.own.get(name).map(String::as_str);
-                self.table.column(own.unwrap_or(name))?;
+                self.table.asked(own.unwrap_or(name))?;
             }
             return Ok(None);
         };
@@ -73,11 +57,19 @@ impl Calibration for ScalarModel {
 
     fn apply(&self, table: &Path) -> Result<AppliedTable, CalibrationError> {
         // A table of the form that the session was imported from is read as it was then.
-        let own = self.columns.iter().flat_map(|(name, own)| [name, own]).cloned();
+        let own = self
+            .columns
+            .iter()
+            .flat_map(|(name, own)| [name.as_str(), own, asked_name(own)])
+            .map(str::to_owned);
         let asked = (!self.columns.is_empty()).then(|| own.collect());
         let table = read_text_table(table, &TextTableLayout { asked, ..TextTableLayout::default() })?;
         let axis = self.session_kind == "axis";
         let columns = Columns { table: &table, own: &self.columns };
+        for (name, unit) in [("stimulus", &self.stimulus_unit), ("response", &self.response_unit)] {
+            let column = table.imported(name, &self.columns);
+            column.map_or(Ok(()), |column| table.check_unit(&column, unit))?;
+        }
         let stimulus = columns.numbers(if axis { "commanded_mm" } else { "stimulus" }, axis)?;
         let inverse = stimulus.is_none();
         let response = if inverse { columns.numbers("response", true)? } else { None };
@@ -144,7 +136,7 @@ impl Calibration for ScalarModel {
             csv.push('\n');
         }
         let outside = predicted.iter().filter(|p| !p.valid).count();
-        let [low, high] = self.stimulus_range;
+        let [low, high] = self.stimulus_range.map(|v| number(v, 10));
         let outside = (outside > 0).then(|| {
             format!(
                 "{outside} of {} readings lie outside the fitted {}, {low} to {high} {}",

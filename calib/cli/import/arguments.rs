@@ -4,7 +4,7 @@ use crate::output::Overwrite;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use wcal_core::TransducerModel;
-use wcal_session::{Separator, TextTableLayout, WHISKER_COLUMNS, column_name};
+use wcal_session::{Separator, TextTableLayout, WHISKER_COLUMNS, asked_name, column_name};
 
 /// Columns of a sweep that tell its header.
 const SWEEP_COLUMNS: [&str; 3] = ["t_s", "fbg_1_nm", "fbg_2_nm"];
@@ -15,7 +15,7 @@ const SWEEP_COLUMNS: [&str; 3] = ["t_s", "fbg_1_nm", "fbg_2_nm"];
   wcal import cell.csv --kind transducer --stimulus load --response out --model linear --out cell
   wcal import stage.csv --kind axis --commanded cmd_mm --measured 'laser_um*0.001' --out axis-x
 
-'COL*FACTOR' multiplies a column. Errors of an axis in place of positions: --covariate error_um=COL (or error_mm, error_in).
+'COL*FACTOR' multiplies a column; 'column 3' is one without a name.
 A file SIMULATED beside the table marks all that is made of it.")]
 pub struct ImportArgs {
     /// Table to import (CSV, or text in columns)
@@ -29,80 +29,101 @@ pub struct ImportArgs {
     /// Overwrite unrelated files
     #[command(flatten)]
     pub overwrite: Overwrite,
-    /// Log with t_s and base_x_mm .. base_z_mm, or object_x_mm .. (sweep)
-    #[arg(long, value_name = "LOG", required_if_eq("kind", "sweep"))]
-    pub motion: Option<PathBuf>,
-    /// Mesh of the object (sweep): STL, OBJ or PLY
-    #[arg(long, value_name = "MESH")]
-    pub object: Option<PathBuf>,
-    /// X,Y,Z (mm),QW,QX,QY,QZ of the mesh in the frame of the base's poses
-    #[arg(long, value_name = "POSE", value_delimiter = ',', allow_hyphen_values = true)]
-    pub object_pose: Option<Vec<f64>>,
     /// Table of sealed readings with the same layout
     #[arg(long, value_name = "FILE")]
     pub holdout: Option<PathBuf>,
 
-    /// Column of the stimulus (transducer); --model constant does without
-    #[arg(long, value_name = "COL")]
+    /// Column of the stimulus
+    ///
+    /// --model constant does without.
+    #[arg(help_heading = "Transducer", long, value_name = "COL")]
     pub stimulus: Option<String>,
-    /// Column of the standard uncertainty of each stimulus, which weighs its reading (transducer); COL*0.5 of an expanded one with k = 2
-    #[arg(long, value_name = "COL", requires = "stimulus")]
+    /// Column of the stimulus' standard uncertainties
+    ///
+    /// Each weighs its reading; COL*0.5 of expanded ones with k = 2.
+    #[arg(help_heading = "Transducer", long, value_name = "COL", requires = "stimulus")]
     pub stimulus_sd: Option<String>,
-    /// Column of the response (transducer)
-    #[arg(long, value_name = "COL", required_if_eq("kind", "transducer"))]
+    /// Column of the response
+    #[arg(help_heading = "Transducer", long, value_name = "COL", required_if_eq("kind", "transducer"))]
     pub response: Option<String>,
-    /// constant, linear, quadratic (transducer), or WHISKER.toml (whisker)
+    /// constant, linear, quadratic, or WHISKER.toml of a whisker
     #[arg(long, value_name = "MODEL", value_parser = declared, required_if_eq_any([("kind", "transducer"), ("kind", "whisker")]))]
     pub model: Option<Declared>,
-    /// Unit of the stimulus (transducer) [default: that of the table, else 1]
-    #[arg(long, value_name = "UNIT")]
+    /// Unit of the stimulus [default: of the table, else 1]
+    #[arg(help_heading = "Transducer", long, value_name = "UNIT")]
     pub stimulus_unit: Option<String>,
-    /// Unit of the response (transducer) [default: that of the table, else 1]
-    #[arg(long, value_name = "UNIT")]
+    /// Unit of the response [default: of the table, else 1]
+    #[arg(help_heading = "Transducer", long, value_name = "UNIT")]
     pub response_unit: Option<String>,
-    /// Further column, with its name in the session; may be repeated
-    #[arg(long = "covariate", value_name = "NAME=COL")]
+    /// Further column and its name in the session
+    ///
+    /// May be repeated; COL alone keeps its name. Errors of an axis in place of positions: error_um=COL (or error_mm, error_in).
+    #[arg(help_heading = "Further columns", long = "covariate", value_name = "NAME=COL")]
     pub covariates: Vec<String>,
-    /// Column of the commanded position (axis)
-    #[arg(long, value_name = "COL", required_if_eq("kind", "axis"))]
+    /// Column of the commanded position
+    #[arg(help_heading = "Axis", long, value_name = "COL", required_if_eq("kind", "axis"))]
     pub commanded: Option<String>,
-    /// Column of the measured position (axis)
-    #[arg(long, value_name = "COL")]
+    /// Column of the measured position
+    #[arg(help_heading = "Axis", long, value_name = "COL")]
     pub measured: Option<String>,
 
-    /// Column of the time: s, another unit that it names, or time stamps
-    #[arg(long, value_name = "COL")]
+    /// Column of the time
+    ///
+    /// In s, another unit that it names, or time stamps; where date and clock have columns of their own, either of them. 'COL since STAMP' counts from another time stamp than the first.
+    #[arg(help_heading = "Further columns", long, value_name = "COL")]
     pub time: Option<String>,
     /// Column of the direction: +1 or -1, + or -, up or down
-    #[arg(long, value_name = "COL")]
+    #[arg(help_heading = "Further columns", long, value_name = "COL")]
     pub direction: Option<String>,
     /// Column of the temperature, deg C
-    #[arg(long, value_name = "COL")]
+    #[arg(help_heading = "Further columns", long, value_name = "COL")]
     pub temperature: Option<String>,
     /// Column of the cycle (axis)
-    #[arg(long, value_name = "COL")]
+    #[arg(help_heading = "Further columns", long, value_name = "COL")]
     pub cycle: Option<String>,
     /// Column of the repetition; of an axis it is the cycle
-    #[arg(long, value_name = "COL")]
+    #[arg(help_heading = "Further columns", long, value_name = "COL")]
     pub replicate: Option<String>,
     /// Column of the role [default: every row is "calibration"]
-    #[arg(long, value_name = "COL")]
+    #[arg(help_heading = "Further columns", long, value_name = "COL")]
     pub role: Option<String>,
 
+    /// Log with t_s and base_x_mm .. or object_x_mm ..
+    #[arg(help_heading = "Sweep", long, value_name = "LOG", required_if_eq("kind", "sweep"))]
+    pub motion: Option<PathBuf>,
+    /// Mesh of the object
+    #[arg(help_heading = "Sweep", long, value_name = "STL")]
+    pub object: Option<PathBuf>,
+    /// Place of the mesh in the frame of the base's poses
+    ///
+    /// X,Y,Z in mm and the unit quaternion QW,QX,QY,QZ.
+    #[arg(
+        help_heading = "Sweep",
+        long,
+        value_name = "POSE",
+        value_delimiter = ',',
+        allow_hyphen_values = true
+    )]
+    pub object_pose: Option<Vec<f64>>,
+
     /// Lines before the table (NIST Dataplot 25, StRD 60)
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(help_heading = "Form of the table", long, value_name = "N", default_value_t = 0)]
     pub skip_lines: usize,
     /// Names of the columns, where there is no header line
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    ///
+    /// Without a name, a column of a header is called by its place: 'column 3'.
+    #[arg(help_heading = "Form of the table", long, value_name = "NAMES", value_delimiter = ',')]
     pub columns: Option<Vec<String>>,
-    /// comma, semicolon, tab or whitespace [default: what the file states, else comma]
-    #[arg(long, value_name = "SEPARATOR")]
+    /// comma, semicolon, tab or whitespace
+    ///
+    /// Default: what the file says, else the one by which a line has the columns that are asked for.
+    #[arg(help_heading = "Form of the table", long, value_name = "SEPARATOR")]
     pub separator: Option<Separator>,
     /// Short for --separator whitespace
-    #[arg(long, conflicts_with = "separator")]
+    #[arg(help_heading = "Form of the table", long, conflicts_with = "separator")]
     pub whitespace: bool,
     /// Decimals are written with a comma
-    #[arg(long)]
+    #[arg(help_heading = "Form of the table", long)]
     pub decimal_comma: bool,
     /// Print the result as JSON on stdout
     #[arg(long)]
@@ -168,7 +189,7 @@ pub(super) fn layout(args: &ImportArgs) -> TextTableLayout {
         Kind::Whisker => &WHISKER_COLUMNS,
         Kind::Sweep => &SWEEP_COLUMNS,
     };
-    let asked = named.map(|column| split_factor(column).0).chain(known.iter().copied());
+    let asked = named.flat_map(|column| [column, asked_name(column)]).chain(known.iter().copied());
     TextTableLayout {
         skip_lines: args.skip_lines,
         columns: args.columns.clone(),
@@ -176,10 +197,4 @@ pub(super) fn layout(args: &ImportArgs) -> TextTableLayout {
         decimal_comma: args.decimal_comma,
         asked: Some(asked.map(column_name).collect()),
     }
-}
-
-/// A column and the factor that its cells are multiplied by, as `COL*FACTOR`.
-pub(super) fn split_factor(text: &str) -> (&str, Option<f64>) {
-    let parts = text.rsplit_once('*').map(|(name, factor)| (name.trim(), factor.trim().parse::<f64>().ok()));
-    parts.filter(|(_, factor)| factor.is_some()).unwrap_or((text, None))
 }

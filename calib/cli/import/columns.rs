@@ -1,11 +1,11 @@
 //! Column mapping: cells of the foreign table under the session's names.
 
-use super::arguments::{Declared, ImportArgs, Kind, split_factor};
+use super::arguments::{Declared, ImportArgs, Kind};
 use super::hints::is_deviation;
 use super::units;
-use anyhow::{Context, bail, ensure};
+use anyhow::{bail, ensure};
 use wcal_core::TransducerModel;
-use wcal_session::{IN_SESSION, TextTable, WHISKER_COLUMNS, named};
+use wcal_session::{AskedColumn, IN_SESSION, Stamps, TextTable, WHISKER_COLUMNS, asked_name, named};
 
 /// Columns of the other kinds that are taken along wherever a table has them under these names.
 const SCALAR_COLUMNS: &[&str] =
@@ -18,8 +18,8 @@ const TEXT_COLUMNS: &[&str] = &["role"];
 enum Source {
     /// A column of the foreign table, times a factor.
     Column { index: usize, factor: f64 },
-    /// A column of time stamps: seconds after its first, by row.
-    Stamps { index: usize, times: Vec<Option<f64>> },
+    /// A column of time stamps.
+    Stamps { index: usize, stamps: Stamps },
     /// A commanded position and the error of the measured one, each times a factor: their sum.
     Position { commanded: (usize, f64), error: (usize, f64) },
     /// Number of the row, from 1.
@@ -132,6 +132,11 @@ impl Plan {
                 let text = if *factor == 1.0 { column.clone() } else { format!("{column}*{factor}") };
                 (text != *name).then(|| (name.clone(), text.into()))
             }
+            // Without a date it is not known how long after the first of these another clock begins.
+            Source::Stamps { index, stamps } => {
+                let since = if stamps.dated { format!(" since {}", stamps.first) } else { String::new() };
+                Some((name.clone(), format!("{}{since}", table.columns[*index]).into()))
+            }
             _ => None,
         };
         self.columns.iter().filter_map(text).collect()
@@ -141,25 +146,38 @@ impl Plan {
     pub(super) fn left_out(&self, table: &TextTable) -> Vec<String> {
         let taken = |k: usize| {
             self.columns.iter().any(|(_, source)| match source {
-                Source::Column { index, .. } | Source::Stamps { index, .. } => *index == k,
+                Source::Column { index, .. } => *index == k,
+                Source::Stamps { index, stamps } => *index == k || stamps.other == Some(k),
                 Source::Position { commanded, error } => commanded.0 == k || error.0 == k,
                 Source::Order | Source::Calibration => false,
             })
         };
-        let left = table.columns.iter().enumerate().filter(|(k, _)| !taken(*k));
+        let holds = |k: usize| table.rows.iter().any(|(_, cells)| !cells[k].is_empty());
+        let left = table.columns.iter().enumerate().filter(|(k, _)| !taken(*k) && holds(*k));
         left.map(|(_, name)| name.clone()).collect()
     }
 
-    /// What the arguments ask of a table.
+    /// The time stamp that the times are counted from.
+    pub(super) fn since(&self) -> Option<&str> {
+        let mut stamps = self.columns.iter().filter_map(|(_, source)| match source {
+            Source::Stamps { stamps, .. } => Some(stamps.first.as_str()),
+            _ => None,
+        });
+        stamps.next()
+    }
+
+    /// What the arguments ask of a table; dated time stamps count from `since`, where another table of the session begins.
     ///
     /// # Errors
     /// Where a column is missing, or a mapping is malformed.
-    pub(super) fn new(args: &ImportArgs, table: &TextTable) -> anyhow::Result<Self> {
+    pub(super) fn new(args: &ImportArgs, table: &TextTable, since: Option<&str>) -> anyhow::Result<Self> {
         let wanted = wanted(args, table)?;
         for (name, column) in &wanted {
             if !TEXT_COLUMNS.contains(&name.as_str()) {
-                let (column, _) = split_factor(column);
-                table.columns_named(column).first().map_or(Ok(()), |index| table.check_thousands(*index))?;
+                table
+                    .columns_named(asked_name(column))
+                    .first()
+                    .map_or(Ok(()), |index| table.check_thousands(*index))?;
             }
         }
         let mut columns = Vec::new();
@@ -202,18 +220,25 @@ impl Plan {
                 plan.warnings.push(format!("{}: {column} {text}", table.file));
             }
             let unit_mm = error_unit_mm(&name).filter(|_| args.kind == Kind::Axis);
-            let times = if name == "t_s" { table.stamps_s(index)? } else { None };
-            if let Some(row) = times.iter().flatten().position(Option::is_some) {
-                let first = &table.rows[row].1[index];
+            let stamps = if name == "t_s" {
+                let asked = table.asked(&column)?;
+                let since = asked.since.or(since.map(str::to_owned));
+                table.stamps(&AskedColumn { since, ..asked })?
+            } else {
+                None
+            };
+            if let Some(Stamps { other, first, .. }) = &stamps {
+                let with = other.map_or(String::new(), |k| format!(" with {}", table.columns[k]));
+                let column = asked_name(&column);
                 plan.remarks
-                    .push(format!("{}: {column} holds time stamps: seconds after {first}", table.file));
+                    .push(format!("{}: {column}{with} holds time stamps: seconds after {first}", table.file));
             }
-            plan.columns.push(match (unit_mm, commanded, times) {
+            plan.columns.push(match (unit_mm, commanded, stamps) {
                 (Some(unit_mm), Some(commanded), _) => {
                     let error = (index, unit_mm * factor);
                     ("measured_mm".to_owned(), Source::Position { commanded, error })
                 }
-                (.., Some(times)) => (name, Source::Stamps { index, times }),
+                (.., Some(stamps)) => (name, Source::Stamps { index, stamps }),
                 _ => (name, Source::Column { index, factor }),
             });
         }
@@ -241,16 +266,9 @@ impl Plan {
     /// # Errors
     /// Where the table has no such column, or states two units of it.
     fn scaled(&mut self, table: &TextTable, name: &str, text: &str) -> anyhow::Result<(usize, f64)> {
-        let split = text.rsplit_once('*').filter(|_| table.columns_named(text).is_empty());
-        let Some((column, factor)) = split else {
-            let index = table.column(text)?;
-            return Ok((index, units::factor(table, index, name, (&mut self.remarks, &mut self.warnings))?));
-        };
-        let value = factor.trim().parse::<f64>().ok().filter(|f| f.is_finite() && *f != 0.0);
-        let value = value.with_context(|| {
-            format!("{text}: expected COLUMN*FACTOR with a finite factor other than 0, found {factor:?}")
-        })?;
-        Ok((table.column(column.trim())?, value))
+        let AskedColumn { index, factor, .. } = table.asked(text)?;
+        let of_unit = || units::factor(table, index, name, (&mut self.remarks, &mut self.warnings));
+        Ok((index, factor.map_or_else(of_unit, Ok)?))
     }
 }
 
@@ -272,7 +290,7 @@ fn cell(table: &TextTable, row: usize, (name, source): &(String, Source)) -> any
     Ok(match source {
         Source::Order => (row + 1).to_string(),
         Source::Calibration => "calibration".to_owned(),
-        Source::Stamps { times, .. } => text(times[row]),
+        Source::Stamps { stamps, .. } => text(stamps.times[row]),
         Source::Position { commanded, error } => {
             let [commanded, error] = [commanded, error]
                 .map(|(index, factor)| table.number(row, *index).map(|v| Some(v? * factor)));

@@ -27,3 +27,13 @@ pub(crate) fn option_of(name: &str) -> Option<&'static str> {
     let words: Vec<&str> = name.split(|c: char| !c.is_alphanumeric()).collect();
     WORDS.iter().find(|(_, of)| words.iter().any(|word| of.contains(word))).map(|(option, _)| *option)
 }
+
+/// A word as a shell takes it.
+pub(crate) fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_alphanumeric() || "._-/=+:@%".contains(c);
+    if !word.is_empty() && word.chars().all(plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
+}

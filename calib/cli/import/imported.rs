@@ -2,7 +2,7 @@
 
 use super::arguments::ImportArgs;
 use super::columns::{Plan, WAY_IN};
-use super::hints::option_of;
+use super::hints::{option_of, quoted};
 use super::units::is_uncertainty;
 use crate::output::{OutputFolder, ResultKind, first_line};
 use crate::simulated::word;
@@ -120,7 +120,7 @@ pub(super) fn say(
         let way_in = if kind == "sweep" { "" } else { WAY_IN };
         let shown = |name: &&str| {
             let option = option_of(name).filter(|_| kind != "sweep");
-            option.map_or((*name).to_owned(), |option| format!("{name} ({option} {name})"))
+            option.map_or((*name).to_owned(), |option| format!("{name} ({option} {})", quoted(name)))
         };
         let shown: Vec<String> = others.iter().map(shown).collect();
         eprintln!("columns not imported: {}{way_in}", shown.join(", "));

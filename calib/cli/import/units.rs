@@ -1,8 +1,11 @@
 //! Units of the foreign table: those that stand in its names and below its header become the session's.
 
-use super::arguments::split_factor;
+use super::hints::quoted;
 use anyhow::bail;
-use wcal_session::{Relation, TextTable, bracketed, relation, unit_in_name};
+use wcal_core::text::number;
+use wcal_session::{
+    Relation, TextTable, bracketed, is_unit, possible_units, relation, stated_unit, unit_in_name,
+};
 
 /// Columns of a session whose unit is fixed, and the options that take them.
 const FIXED: [(&str, &str, &str); 4] = [
@@ -27,14 +30,14 @@ pub(super) fn factor(
     (remarks, warnings): Noticed<'_>,
 ) -> anyhow::Result<f64> {
     let Some((_, to, option)) = FIXED.iter().find(|(fixed, ..)| *fixed == name) else { return Ok(1.0) };
-    let (file, column, below) = (&table.file, &table.columns[index], below(table, index));
+    let (file, column, below) = (&table.file, &table.columns[index], below(table, index)?);
     let mut found: Option<(&str, f64)> = None;
     // A temperature in another unit is refused wherever that stands.
     let last = column.rsplit(['_', ' ']).next().filter(|unit| {
         name == "temperature_degc"
             && ["K", "degF"].iter().any(|t| matches!(relation(unit, t), Relation::Times(_)))
     });
-    let stated = unit_in_name(column, to).into_iter().chain(bracketed(column)).chain(last).chain(below);
+    let stated = unit_in_name(column, to).into_iter().chain(stated_unit(column)).chain(last).chain(below);
     for unit in stated {
         match (relation(unit, to), found) {
             (Relation::Times(factor), None) => found = Some((unit, factor)),
@@ -56,7 +59,8 @@ pub(super) fn factor(
     }
     match found {
         Some((unit, factor)) if factor != 1.0 => {
-            remarks.push(format!("{file}: {column} is in {unit}; times {factor} it is in {to}"));
+            remarks
+                .push(format!("{file}: {column} is in {unit}; times {} it is in {to}", number(factor, 12)));
             Ok(factor)
         }
         None if name == "t_s" => question(table, index, (remarks, warnings)).map(|()| 1.0),
@@ -64,9 +68,23 @@ pub(super) fn factor(
     }
 }
 
-/// What a table says of a column's unit below its header.
-fn below(table: &TextTable, index: usize) -> Option<&str> {
-    table.units.get(index).map(String::as_str).filter(|unit| !unit.is_empty())
+/// What a table says of a column's unit below its header, or in each row in a column of units beside it.
+///
+/// # Errors
+/// Where rows have several.
+fn below(table: &TextTable, index: usize) -> anyhow::Result<Option<&str>> {
+    let below = table.units.get(index).map(String::as_str).filter(|unit| !unit.is_empty());
+    let named = |name: &String| ["unit", "einheit"].iter().any(|word| name.to_lowercase().contains(word));
+    if below.is_some() || !table.columns.get(index + 1).is_some_and(named) {
+        return Ok(below);
+    }
+    let mut units = table.rows.iter().map(|(line, cells)| (line, &cells[index + 1]));
+    let first = units.next().map(|(_, unit)| unit).filter(|unit| is_unit(unit));
+    if let Some((line, other)) = units.find(|(_, unit)| first.is_some_and(|first| first != *unit)) {
+        let (file, column, first) = (&table.file, &table.columns[index], first.unwrap_or_default());
+        bail!("{file}, row at line {line}, field {column}: expected one unit, found {first} and {other}");
+    }
+    Ok(first)
 }
 
 /// Times without a unit are taken as seconds, which is said; where they hardly are seconds, it is asked.
@@ -97,7 +115,8 @@ fn question(table: &TextTable, index: usize, (remarks, warnings): Noticed<'_>) -
             "1e-9"
         };
         bail!(
-            "{file}, field {column}: expected seconds, found {high} (parts of a second since 1970? {})",
+            "{file}, field {column}: expected seconds, found {} (parts of a second since 1970? {})",
+            number(high, 17),
             way(power)
         );
     }
@@ -111,7 +130,8 @@ fn question(table: &TextTable, index: usize, (remarks, warnings): Noticed<'_>) -
     } else {
         None
     };
-    let taken = format!("{file}: {column} names no unit, taken as seconds: readings {step:.3e} s apart");
+    let taken =
+        format!("{file}: {column} names no unit, taken as seconds: readings {} s apart", number(*step, 4));
     match asked {
         Some(asked) => warnings.push(format!("{taken}; {asked}")),
         None => remarks.push(taken),
@@ -130,18 +150,27 @@ pub(super) fn signal(
     remarks: &mut Vec<String>,
 ) -> anyhow::Result<String> {
     let taken = stated.unwrap_or("1").to_owned();
-    let Some((name, None)) = column.map(split_factor) else { return Ok(taken) };
-    let index = table.column(name)?;
+    let Some(column) = column.map(|text| table.asked(text)).transpose()?.filter(|c| c.factor.is_none())
+    else {
+        return Ok(taken);
+    };
+    let index = column.index;
     let (file, name) = (&table.file, &table.columns[index]);
-    let known = |unit: &&str| relation(unit, "s") != Relation::Unknown;
-    let Some(found) = below(table, index).or_else(|| bracketed(name).filter(known)) else {
-        if stated.is_none() {
-            // A last word that is a unit may be one: `load_N`.
-            let last = name.rsplit(['_', ' ']).next().filter(|word| *word != name.as_str()).filter(known);
-            let unit = last.unwrap_or("UNIT");
-            remarks.push(format!(
-                "{file}: no unit of {name} is stated, taken as 1 ({option}-unit {unit} states it)"
-            ));
+    let sure = below(table, index)?.or_else(|| stated_unit(name));
+    // A last word that is a unit may be one, and is where it is of one kind with what is stated: `load_kN`.
+    let last = possible_units(name).next().or_else(|| bracketed(name));
+    let of_kind = |unit: &&str| matches!(relation(unit, stated.unwrap_or_default()), Relation::Times(_));
+    let Some(found) = sure.or(last.filter(of_kind)) else {
+        match (last, stated) {
+            (unit, None) => remarks.push(format!(
+                "{file}: no unit of {name} is stated, taken as 1 ({option}-unit {} states it)",
+                unit.map_or("UNIT".to_owned(), quoted)
+            )),
+            (Some(unit), Some(stated)) if unit.len() > 1 && unit != stated => {
+                remarks
+                    .push(format!("{file}: {name} is taken as {stated}, though its name ends with {unit}"));
+            }
+            _ => {}
         }
         return Ok(taken);
     };
@@ -153,7 +182,7 @@ pub(super) fn signal(
         |way: String| bail!("{file}, field {name}: expected {stated} ({option}-unit), found {found} {way}");
     match relation(found, stated) {
         Relation::Times(factor) if (factor - 1.0).abs() > 1e-9 => {
-            error(format!("({option} '{name}*{factor}' converts it)"))
+            error(format!("({option} '{name}*{}' converts it)", number(factor, 12)))
         }
         Relation::Other => error("in the table (another column, or another unit?)".to_owned()),
         Relation::Unknown if found != stated => {

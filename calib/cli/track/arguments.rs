@@ -21,49 +21,59 @@ status words: docs/src/formats.md; methods: docs/src/guide/tracking.md.
 Exit code 3: readings lost or flagged, or a motion that the network may not know. 4: outside the valid region, regions that miss the known
 groove, or a calibration or model that cannot be trusted: then nothing is written without --force.")]
 pub struct TrackArgs {
-    /// Table of readings, recording (.mcap) or session folder; without it the rig's interrogator
+    /// Table, recording (.mcap) or session; without it the rig's interrogator
     pub source: Option<PathBuf>,
-    /// calibration.json of verify; ID=FILE for one of several whiskers
+    /// calibration.json of verify
+    ///
+    /// ID=FILE for one of several whiskers.
     #[arg(long, value_name = "[ID=]FILE", required = true)]
     pub calibration: Vec<String>,
-    /// Folder of `wcal-lab train`; ID=DIR for one of several whiskers. Not needed where the motion is known
+    /// Folder of `wcal-lab train`; not needed where the motion is known
+    ///
+    /// ID=DIR for one of several whiskers.
     #[arg(long, value_name = "[ID=]DIR")]
     pub model: Vec<String>,
-    /// Log of the relative motion of base and object (CSV: t_s and object_x_mm .. object_z_mm, or base_x_mm .. base_z_mm with base_qw ..
-    /// base_qz; _m for metres). Default: such columns of the table
-    #[arg(long, value_name = "CSV", conflicts_with = "model")]
+    /// Log of the relative motion of base and object
+    ///
+    /// A CSV with t_s and object_x_mm .. object_z_mm, or base_x_mm .. base_z_mm with base_qw .. base_qz; _m for metres. Default: such columns of the table.
+    #[arg(help_heading = "Motion", long, value_name = "CSV", conflicts_with = "model")]
     pub motion: Option<PathBuf>,
-    /// Rig: rig.toml or the folder that holds it; a session folder has its own
-    #[arg(long, value_name = "RIG")]
+    /// rig.toml or its folder; a session has its own
+    #[arg(help_heading = "Live", long, value_name = "RIG")]
     pub rig: Option<PathBuf>,
-    /// Addresses as `wcal virtual-bench` prints them; they replace those of the rig
-    #[arg(long, value_name = "ADDRESSES.json", requires = "rig")]
+    /// Addresses of `wcal virtual-bench` in place of the rig's
+    #[arg(help_heading = "Live", long, value_name = "ADDRESSES.json", requires = "rig")]
     pub bench: Option<PathBuf>,
-    /// Speed of the base along +z, where it is constant and known, mm/s
-    #[arg(long, value_name = "MM/S")]
+    /// Speed of the base along +z, mm/s, constant and known
+    #[arg(help_heading = "Motion", long, value_name = "MM/S")]
     pub base_mm_s: Option<f64>,
-    /// State that the base moves along its +z past an object at rest, at a speed within the training range: rows in contact are not
-    /// motion-assumed and have the network's regions
-    #[arg(long, requires = "model")]
+    /// The base moves along its +z past an object at rest
+    ///
+    /// At a speed within the training range: rows in contact are not motion-assumed and have the network's regions.
+    #[arg(help_heading = "Motion", long, requires = "model")]
     pub sweep: bool,
-    /// Duration at the start, free of contact, whose mean moments are the zero, s; 0 keeps the calibration's zero. Default: a table
-    /// uses the free readings at its start where they can be identified, a stream the calibration's zero
-    #[arg(long, value_name = "S")]
+    /// Duration at the start, free of contact, that gives the zero
+    ///
+    /// In s, its mean moments; 0 keeps the calibration's zero. Default: a table uses the free readings at its start where they can be identified, a stream the calibration's zero.
+    #[arg(help_heading = "Whisker", long, value_name = "S")]
     pub tare_s: Option<f64>,
-    /// Relative standard deviation of the diameter, where the tracked wire is another of the calibration's kind (0.01 for 1 %): its stiffness
-    /// is then an unknown
-    #[arg(long, value_name = "SHARE", conflicts_with = "model")]
+    /// Relative sd of the diameter of another wire of this kind
+    ///
+    /// 0.01 for 1 %; its stiffness is then an unknown.
+    #[arg(help_heading = "Whisker", long, value_name = "SHARE", conflicts_with = "model")]
     pub diameter_sd: Option<f64>,
     /// Table to write
     #[arg(long, value_name = "CSV")]
     pub out: PathBuf,
-    /// Recording of a live run's raw streams, which can be tracked again
-    #[arg(long, value_name = "MCAP")]
+    /// Recording of a live run, which can be tracked again
+    #[arg(help_heading = "Live", long, value_name = "MCAP")]
     pub mcap: Option<PathBuf>,
-    /// Stop a stream after this time by the interrogator's clock, s
-    #[arg(long, value_name = "S")]
+    /// Stop a stream after this time, s, by its own clock
+    #[arg(help_heading = "Live", long, value_name = "S")]
     pub seconds: Option<f64>,
-    /// Track with a calibration or model that cannot be trusted (every row says so), or overwrite an unrelated --out
+    /// Track though it cannot be trusted, or overwrite --out
+    ///
+    /// With a calibration or model that cannot be trusted every row says so.
     #[arg(long)]
     pub force: bool,
     /// Print the summary (track.json) on stdout

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use wcal_contact::groove_comparison::groove_sentence;
 use wcal_core::ResidualRecord;
-use wcal_core::text::{readable, with_unit};
+use wcal_core::text::{chance, readable, with_unit};
 use wcal_core::verify_document::{ContactComparison, HoldoutOutcome};
 use wcal_report::ReportInput;
 use wcal_trace::scalar::ScalarData;
@@ -181,13 +181,4 @@ fn contact_line(c: &ContactComparison) -> String {
         "contact: {before} mm -> {after} mm (bound {bound}), {} readings, {} inside their 95 % regions",
         c.readings, c.inside95
     )
-}
-
-/// A p-value; the model of the noise says nothing of chances below a billionth.
-fn chance(p: f64) -> String {
-    match p {
-        p if p < 1e-9 => "p < 1e-9".to_owned(),
-        p if p < 0.01 => format!("p = {p:.1e}"),
-        p => format!("p = {p:.2}"),
-    }
 }

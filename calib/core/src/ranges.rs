@@ -3,7 +3,7 @@
 //! A key is matched by its last parts: `youngs_gpa` or `whisker.youngs_gpa`; the first range that fits counts, and `""` fits every key.
 //! Positions in arrays are no part of it.
 
-use crate::text::brief;
+use crate::text::{brief, number};
 use serde_json::Value;
 use std::fmt;
 
@@ -39,7 +39,7 @@ impl Range {
         if self.holds(value) && (whole || !self.whole) {
             return Ok(());
         }
-        let found = format!("{}{}", Short(value), self.other_unit(own_part(name), value));
+        let found = format!("{}{}", number(value, 17), self.other_unit(own_part(name), value));
         Err(OutOfRange { key: brief(name), expected: self.to_string(), found })
     }
 
@@ -74,21 +74,7 @@ impl Range {
 impl fmt::Display for Range {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let kind = if self.whole { "a whole number" } else { "a number" };
-        write!(f, "{kind} between {} and {}", Short(self.low), Short(self.high))
-    }
-}
-
-/// A number as a person writes it.
-struct Short(f64);
-
-impl fmt::Display for Short {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let size = self.0.abs();
-        if size != 0.0 && !(1e-4..1e7).contains(&size) {
-            write!(f, "{:e}", self.0)
-        } else {
-            write!(f, "{}", self.0)
-        }
+        write!(f, "{kind} between {} and {}", number(self.low, 17), number(self.high, 17))
     }
 }
 

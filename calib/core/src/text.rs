@@ -101,6 +101,27 @@ pub fn with_unit(what: &str, unit: &str) -> String {
     if matches!(unit, "" | "1") { what.to_owned() } else { format!("{what} {unit}") }
 }
 
+/// A number with so many significant digits at most and no zeros behind them; an exponent where it is very small or large.
+pub fn number(value: f64, digits: usize) -> String {
+    let Ok(rounded) = format!("{value:.*e}", digits.saturating_sub(1)).parse::<f64>() else {
+        return value.to_string();
+    };
+    if rounded == 0.0 || (1e-4..1e7).contains(&rounded.abs()) || !rounded.is_finite() {
+        rounded.to_string()
+    } else {
+        format!("{rounded:e}")
+    }
+}
+
+/// A p-value; the model of the noise says nothing of chances below a billionth.
+pub fn chance(p: f64) -> String {
+    match p {
+        p if p < 1e-9 => "p < 1e-9".to_owned(),
+        p if p < 0.01 => format!("p = {p:.1e}"),
+        p => format!("p = {p:.2}"),
+    }
+}
+
 /// Four decimals, or an exponent where these would hide the number.
 pub fn readable(value: f64) -> String {
     if value == 0.0 || (0.01..1e6).contains(&value.abs()) {
@@ -145,6 +166,24 @@ mod tests {
         assert!(found.chars().count() < 320, "{}", found.chars().count());
         let whole = "x".repeat(299);
         assert_eq!(brief(&whole), whole, "negative control");
+    }
+
+    #[test]
+    fn a_number_has_its_digits_and_no_more() {
+        for (value, digits, text) in [
+            (20.0, 4, "20"),
+            (0.8000000000000002, 12, "0.8"),
+            (0.00012345678, 4, "0.0001235"),
+            (0.000012345678, 4, "1.235e-5"),
+            (1_234_567.8, 4, "1235000"),
+            (6.894757293168, 12, "6.89475729317"),
+            (-1e9, 4, "-1e9"),
+            (0.0, 3, "0"),
+        ] {
+            assert_eq!(number(value, digits), text);
+        }
+        assert_eq!(number(f64::NAN, 3), "NaN");
+        assert_ne!(number(0.8000000000000002, 17), "0.8", "negative control");
     }
 
     #[test]

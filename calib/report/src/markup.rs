@@ -20,6 +20,11 @@ pub fn escape(text: &str) -> String {
     out
 }
 
+/// `= 0.02` or `< 0.0001` of a p-value, ready for HTML.
+pub fn with_sign(p: &str) -> String {
+    if p.starts_with('<') { escape(p) } else { format!("= {}", escape(p)) }
+}
+
 /// `<p>` of escaped text.
 pub fn paragraph(text: &str) -> String {
     format!("<p>{}</p>", escape(text))

@@ -1,42 +1,41 @@
 //! Sessions of kind "axis": commanded against measured position.
 
-use crate::error::{InputError, SessionError};
+use crate::error::InputError;
 use crate::row::{PointNumbers, Row, clock_problem};
-use crate::screening::{contradiction, copied, overflow};
-use crate::table::read_own;
+use crate::screening::{contradiction, copied, exchanged, overflow};
+use crate::table::TextTable;
 use crate::warning::SessionWarning;
 use crate::whisker::unknown_columns;
-use std::path::Path;
 use wcal_core::order_statistics::median;
 use wcal_core::{AxisRow, InputFile, Purpose};
 
-/// Reads a table.
+/// Reads the rows of a table.
 pub(crate) fn read_rows(
-    path: &Path,
-    name: &str,
+    table: &TextTable,
     purpose: Purpose,
     warnings: &mut Vec<SessionWarning>,
-) -> Result<(Vec<AxisRow>, InputFile), SessionError> {
-    let table = read_own(path, name)?;
+) -> Result<(Vec<AxisRow>, InputFile), InputError> {
+    let name = &table.file;
     // The repetition of a stroke is its cycle.
     let group = table.group();
     let required = ["point", "role", "commanded_mm", "measured_mm"];
     let known = [&["t_s", "direction", "temperature_degc"][..], &group].concat();
     warnings.extend(unknown_columns(name, table.others(&required, &known)?));
     let mut points = PointNumbers::default();
-    Row::all(&table).try_for_each(|row| points.note(&row, row.point()?))?;
+    Row::all(table).try_for_each(|row| points.note(&row, row.point()?))?;
     let mut out = vec![false; table.rows.len()];
-    let set: Vec<[f64; 2]> = Row::all(&table)
+    let set: Vec<[f64; 2]> = Row::all(table)
         .map(|row| Ok([row.required("commanded_mm")?, row.required("measured_mm")?]))
         .collect::<Result<_, InputError>>()?;
+    exchanged(table, ["commanded_mm", "measured_mm"])?;
     // A column that holds something else is named as that before its single values are judged.
     unit_mismatch(name, &set)?;
-    warnings.extend(overflow(&table, [&["commanded_mm"], &["measured_mm", "temperature_degc"]], &mut out)?);
-    warnings.extend(copied(&table, Some("measured_mm"), &mut out)?);
+    warnings.extend(overflow(table, [&["commanded_mm"], &["measured_mm", "temperature_degc"]], &mut out)?);
+    warnings.extend(copied(table, Some("measured_mm"), &mut out)?);
     let mut rows = Vec::new();
-    for row in Row::all(&table).filter(|row| !out[row.index]) {
+    for row in Row::all(table).filter(|row| !out[row.index]) {
         rows.push(AxisRow {
-            source: name.to_owned(),
+            source: name.clone(),
             line: row.line,
             point: row.point()?,
             role: row.role()?,

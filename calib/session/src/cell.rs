@@ -6,47 +6,19 @@ use std::borrow::Cow;
 /// Marks between groups of three digits: blanks of several widths (ISO 80000-1), apostrophes.
 const GROUP_MARKS: [char; 6] = [' ', '\u{a0}', '\u{202f}', '\u{2009}', '\'', '\u{2019}'];
 
+/// The minus sign, and a dash that people type for it.
+const MINUS: [char; 2] = ['\u{2212}', '\u{2013}'];
+
 /// Words for a value that is not there, in small letters: those of programs, spreadsheets, and instruments whose input is open or beyond its
 /// range.
-const MISSING: [&str; 37] = [
-    "nan",
-    "na",
-    "n/a",
-    "n.a.",
-    "null",
-    "none",
-    "nil",
-    "nd",
-    "n.d.",
-    "missing",
-    "no data",
-    "nodata",
-    "invalid",
-    "error",
-    "err",
-    "bad",
-    "fault",
-    "-",
-    "--",
-    "---",
-    "\u{2013}",
-    "\u{2014}",
-    ".",
-    "..",
-    "?",
-    "inf",
-    "infinity",
-    "ol",
-    "0l",
-    "over",
-    "overload",
-    "overrange",
-    "over range",
-    "overflow",
-    "ovf",
-    "ovld",
-    "underflow",
-];
+const MISSING: &str = "nan|na|n/a|n.a.|null|none|nil|nd|n.d.|missing|no data|nodata|invalid|error|err|bad|fault|-|--\
+    |---|\u{2013}|\u{2014}|.|..|?|inf|infinity|ol|0l|over|overload|overrange|over range|overflow\
+    |ovf|ovld|underflow";
+
+/// Whether a word is one of those between bars.
+pub(crate) fn one_of(words: &str, word: &str) -> bool {
+    words.split('|').any(|one| one == word)
+}
 
 /// What a cell holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -91,22 +63,31 @@ pub(crate) fn is_missing(cell: &str) -> bool {
         .is_some_and(|error| error == "na" || error.ends_with(['!', '?']) || error == "n/a");
     // A field that is too narrow for its number is filled.
     let filled = !word.is_empty() && word.chars().all(|c| matches!(c, '*' | '#'));
-    of_sheet
-        || filled
-        || unsigned.starts_with("1.#")
-        || MISSING.contains(&unsigned)
-        || MISSING.contains(&&*word)
+    of_sheet || filled || unsigned.starts_with("1.#") || one_of(MISSING, unsigned) || one_of(MISSING, &word)
+}
+
+/// Whether a cell holds a negative number as bookkeepers write it: `(300)`, or `300-`.
+pub(crate) fn is_accounted(cell: &str) -> bool {
+    let inner = cell.strip_prefix('(').and_then(|c| c.strip_suffix(')')).or_else(|| cell.strip_suffix('-'));
+    inner.is_some_and(|inner| {
+        inner.starts_with(|c: char| c.is_ascii_digit())
+            && inner.chars().all(|c| c.is_ascii_digit() || matches!(c, '.' | ',') || GROUP_MARKS.contains(&c))
+    })
 }
 
 /// A number as Rust reads it: exponents after `D` (Fortran's double precision) with an `E`, no marks between groups of three digits, a
-/// hyphen for the minus sign.
+/// hyphen for the minus sign, also for a bookkeeper's.
 pub(crate) fn plain(cell: &str) -> Cow<'_, str> {
+    if is_accounted(cell) {
+        let number = format!("-{}", cell.trim_matches(['(', ')', '-']));
+        return Cow::Owned(plain(&number).into_owned());
+    }
     let exponent = |c: char| matches!(c, 'd' | 'D');
-    let odd = |c: char| exponent(c) || c == '\u{2212}' || GROUP_MARKS.contains(&c);
+    let odd = |c: char| exponent(c) || MINUS.contains(&c) || GROUP_MARKS.contains(&c);
     if !cell.contains(odd) || cell.contains(|c: char| c.is_alphabetic() && !exponent(c)) {
         return Cow::Borrowed(cell);
     }
-    let text = cell.replace('\u{2212}', "-").replace(exponent, "E");
+    let text = cell.replace(MINUS, "-").replace(exponent, "E");
     let whole = text.trim_start_matches(['-', '+']).split(['.', ',', 'E']).next().unwrap_or_default();
     if !whole.contains(GROUP_MARKS) || !grouped(whole, &GROUP_MARKS) {
         return Cow::Owned(text);
@@ -126,25 +107,12 @@ pub(crate) fn grouped(text: &str, marks: &[char]) -> bool {
 
 /// +1 or -1 for a word or sign of a direction.
 pub(crate) fn direction(cell: &str) -> Option<f64> {
-    const UP: [&str; 10] =
-        ["+", "up", "rising", "increasing", "increase", "inc", "loading", "forward", "fwd", "ascending"];
-    const DOWN: [&str; 12] = [
-        "-",
-        "down",
-        "falling",
-        "decreasing",
-        "decrease",
-        "dec",
-        "unloading",
-        "backward",
-        "bwd",
-        "reverse",
-        "rev",
-        "descending",
-    ];
+    const UP: &str = "+|up|rising|increasing|increase|inc|loading|forward|fwd|ascending|auf|aufw\u{e4}rts|steigend\
+        |belastung|hin|mont\u{e9}e|croissant|charge";
+    const DOWN: &str = "-|down|falling|decreasing|decrease|dec|unloading|backward|bwd|reverse|rev|descending|ab\
+        |abw\u{e4}rts|fallend|entlastung|zur\u{fc}ck|descente|d\u{e9}croissant|d\u{e9}charge";
     let word = cell.replace('\u{2212}', "-").to_lowercase();
-    let is = |words: &[&str]| words.contains(&&*word);
-    if is(&UP) { Some(1.0) } else { is(&DOWN).then_some(-1.0) }
+    if one_of(UP, &word) { Some(1.0) } else { one_of(DOWN, &word).then_some(-1.0) }
 }
 
 /// Name of a column in one line with single blanks.
@@ -166,12 +134,28 @@ mod tests {
             ("1\u{202f}234\u{202f}567.25", 1_234_567.25),
             ("-5'000", -5000.0),
             ("\u{2212}3.5", -3.5),
+            ("\u{2013}100", -100.0),
+            ("(1 300.5)", -1300.5),
+            ("12.5-", -12.5),
             ("+7", 7.0),
         ] {
             assert_eq!(number(cell), Some(value), "{cell}");
         }
         // Groups that are none: no number, never another one.
-        for cell in ["1 00", "12 3456", "0 123", "1 000'000", "5 N", "1D", "end", "D"] {
+        for cell in [
+            "1 00",
+            "12 3456",
+            "0 123",
+            "1 000'000",
+            "5 N",
+            "1D",
+            "end",
+            "D",
+            "(5 N)",
+            "(-5)",
+            "()",
+            "1\u{2013}2",
+        ] {
             assert_eq!(number(cell), None, "{cell}");
         }
         for cell in
@@ -182,6 +166,9 @@ mod tests {
         for cell in ["Mean", "#40", "-b", "A1", "mV/V", "1.5.2"] {
             assert_eq!(content(cell), Content::Text, "{cell}");
         }
-        assert_eq!(["+", "Down", "0"].map(direction), [Some(1.0), Some(-1.0), None]);
+        assert_eq!(
+            ["+", "Down", "0", "auf", "Entlastung", "abc"].map(direction),
+            [Some(1.0), Some(-1.0), None, Some(1.0), Some(-1.0), None]
+        );
     }
 }

@@ -1,12 +1,14 @@
 //! The form of a table of another program: where its header and its rows are, and which lines are neither.
 
-use crate::cell::{Content, content, name_of};
+use crate::cell::{Content, content, grouped, is_accounted, name_of, one_of};
 use crate::error::{InputError, listed, quote};
-use crate::quantity::written;
+use crate::quantity::{is_unit, written};
 use crate::separated::{Separator, records};
 use crate::warning::named;
 use csv::StringRecord;
 
+/// Lines of text, of units and the like, that may stand between a header and its rows.
+const BELOW: usize = 8;
 /// Lines among which the header is looked for.
 const LOOK: usize = 2000;
 /// First line of a LabVIEW measurement file (.lvm), and the line that ends each of its headers.
@@ -67,6 +69,58 @@ impl Preamble {
     }
 }
 
+impl Preamble {
+    /// Where the file says nothing of its separator and no line with commas has any of the names that are `asked` for, it is the one by which
+    /// a line has most of them. Cells with a comma are decimals then, where one cannot be anything else and none has a dot.
+    pub(crate) fn find_separator(&mut self, text: &str, asked: &[String], decimal_comma: bool) {
+        if self.separator.is_some() {
+            return;
+        }
+        let lines: Vec<&str> = text.lines().filter(|line| !line.trim().is_empty()).take(LOOK).collect();
+        // A line of names, not a remark that has one of them: the next one has as many fields.
+        let found = |separator: Separator| {
+            let cells = |line: &str| records(line, 1, separator).into_iter().next().map(|(_, cells)| cells);
+            let named = |pair: &[&str]| {
+                let head = cells(pair[0]).filter(|head| names(head).iter().any(|name| asked.contains(name)));
+                let head = head.filter(|head| cells(pair[1]).is_some_and(|below| below.len() == head.len()));
+                head.map_or(0, |head| {
+                    let names = names(&head);
+                    asked.iter().filter(|name| names.contains(name)).count()
+                })
+            };
+            lines.windows(2).map(named).max().unwrap_or(0)
+        };
+        if found(Separator::Comma) > 0 {
+            return;
+        }
+        let others = [Separator::Semicolon, Separator::Tab, Separator::Whitespace].map(|s| (found(s), s));
+        // Of equals the first.
+        let Some((count, separator)) = others.into_iter().rev().max_by_key(|(count, _)| *count) else {
+            return;
+        };
+        if count == 0 {
+            return;
+        }
+        self.separator = Some(separator);
+        let (called, option) = separator.called();
+        let mut read = format!("read with fields separated by {called} (--separator {option})");
+        let rows = records(text, 1, separator);
+        let values =
+            || rows.iter().flat_map(|(_, cells)| cells).filter(|cell| content(cell) == Content::Value);
+        let commas = || values().filter(|cell| cell.contains(','));
+        let sure = |cell: &str| {
+            let whole = cell.trim_start_matches(['-', '+', '(']).split('.').next().unwrap_or_default();
+            !grouped(whole, &[','])
+        };
+        let dots = values().any(|cell| cell.contains('.') && cell.parse::<f64>().is_ok());
+        if !decimal_comma && commas().any(sure) && !dots {
+            self.decimal_comma = true;
+            read += " and a comma before decimals (--decimal-comma)";
+        }
+        self.remark = Some(read);
+    }
+}
+
 /// A table without the lines around it.
 #[derive(Debug, Default)]
 pub(crate) struct Form {
@@ -80,7 +134,8 @@ pub(crate) struct Form {
     pub(crate) warnings: Vec<String>,
 }
 
-/// Names in a line, the mark of a comment before them left out; empty cells at its end name nothing.
+/// Names in a line, the mark of a comment before them left out; a column without one is called by its place, and empty cells at the end name
+/// nothing.
 fn names(cells: &StringRecord) -> Vec<String> {
     let mut names: Vec<String> = cells.iter().map(name_of).collect();
     // A column may be called # itself.
@@ -91,7 +146,15 @@ fn names(cells: &StringRecord) -> Vec<String> {
     while names.len() > 1 && names.last().is_some_and(String::is_empty) {
         names.pop();
     }
+    for (k, name) in names.iter_mut().enumerate().filter(|(_, name)| name.is_empty()) {
+        *name = by_place(k);
+    }
     names
+}
+
+/// What a column without a name is called.
+pub(crate) fn by_place(index: usize) -> String {
+    format!("column {}", index + 1)
 }
 
 impl Form {
@@ -100,6 +163,7 @@ impl Form {
     pub(crate) fn find(place: &Place<'_>, preamble: &Preamble) -> Result<Self, InputError> {
         let mut all = records(place.text, place.skipped + 1, place.separator);
         let mut form = Self { remarks: preamble.remark.clone().into_iter().collect(), ..Self::default() };
+        let mut unnamed: Vec<String> = Vec::new();
         if let Some(columns) = place.stated {
             form.columns = columns.to_vec();
         } else {
@@ -109,6 +173,8 @@ impl Form {
                 return Err(InputError::new(place.file, "a header line and rows", "an empty file"));
             };
             form.columns = names(&cells);
+            let empty = cells.len() - form.columns.len().min(cells.len());
+            unnamed = (0..empty).map(|k| by_place(form.columns.len() + k)).collect();
             if !all.is_empty() {
                 form.remarks.push(format!(
                     "the header is in line {line}; passed over before it: {} line(s)",
@@ -124,6 +190,14 @@ impl Form {
         }
         form.units.clone_from(&preamble.units);
         form.take(place, all)?;
+        // A column at the end that has cells and no name.
+        let width = form.columns.len();
+        let holds = |k: &usize| {
+            form.rows.iter().any(|(_, cells)| cells.get(width + k).is_some_and(|c| !c.is_empty()))
+        };
+        let count = (0..unnamed.len()).rev().find(holds).map_or(0, |last| last + 1);
+        form.columns.extend(unnamed.into_iter().take(count));
+        form.accounting();
         form.units.resize(form.columns.len(), String::new());
         form.complete(preamble);
         Ok(form)
@@ -134,26 +208,54 @@ impl Form {
         let stated = place.stated.is_some() && place.skipped == 0;
         let numeric = numeric_columns(&all, self.columns.len());
         let (mut again, mut between, mut foot) = (Vec::new(), Vec::new(), Vec::new());
-        let mut parts = vec![Vec::new()];
-        for (line, cells) in all {
-            if is_text(&cells) && self.is_header(&cells) {
+        let mut parts: Vec<Vec<Record>> = vec![Vec::new()];
+        let (mut others, mut elsewhere): (Vec<Vec<Record>>, bool) = (Vec::new(), false);
+        let heads: Vec<bool> = (0..all.len()).map(|k| self.heads_another(&all[k..])).collect();
+        let mut end = None;
+        for ((line, cells), heads) in all.into_iter().zip(heads) {
+            let apart = end.replace(line).is_some_and(|end| line > end + 1);
+            let text = is_text(&cells);
+            if text && self.is_header(&cells) {
+                elsewhere = false;
                 again.push((line, cells));
                 parts.push(Vec::new());
                 continue;
             }
-            self.refuse_other_order(place, (line, &cells))?;
-            if let Some(part) = parts.last_mut() {
-                part.push((line, cells));
+            if text {
+                self.refuse_other_order(place, (line, &cells))?;
             }
+            let below = || parts.last().is_some_and(|part| part.iter().any(|(_, cells)| !is_text(cells)));
+            if heads && below() {
+                // Without a line between them it may be a remark, and what follows may belong to the table.
+                if !apart && cells.len() == self.columns.len() {
+                    let found = format!("names in place of numbers, {}", quote(&joined(&cells)));
+                    let error = InputError::new(place.file, "rows of one table", found).at(line);
+                    return Err(error.hint("another table? split the file; a remark? begin it with #"));
+                }
+                others.push(Vec::new());
+                elsewhere = true;
+            }
+            let rows = if elsewhere { others.last_mut() } else { parts.last_mut() };
+            if let Some(rows) = rows {
+                rows.push((line, cells));
+            }
+        }
+        for (other, (line, cells)) in others.iter().filter_map(|other| Some((other, other.first()?))) {
+            let (rows, named) = (other.len() - 1, quote(&joined(cells)));
+            self.warnings.push(format!(
+                "another table begins in line {line} ({named}): its {rows} line(s) are not read"
+            ));
         }
         for (k, mut part) in parts.into_iter().enumerate() {
             // Directly below a header a line without any number is no reading: units, or how the values were made.
             let first = part.iter().position(|(_, cells)| !is_text(cells)).unwrap_or(0);
             let below: Vec<Record> = part.drain(..first).collect();
-            if let Some((_, cells)) = below.first() {
+            // Units are in the line that has most of those that are known.
+            let known = |(_, cells): &&Record| cells.iter().filter(|cell| is_unit(cell)).count();
+            if let Some((_, cells)) = below.iter().rev().max_by_key(known) {
                 self.remarks.push(format!("no readings below the header: line(s) {}", lines(&below)));
                 // Where the columns are stated the first line may be the header that they replace.
-                if k == 0 && !stated {
+                if k == 0 && !stated && !numbers_columns(cells) {
                     self.units = cells.iter().map(written).collect();
                 }
             }
@@ -183,13 +285,34 @@ impl Form {
         names(cells) == self.columns
     }
 
+    /// Whether a line below the rows names the columns of another table: it has a name in each field, and as many fields as the numbers below it.
+    fn heads_another(&self, from: &[Record]) -> bool {
+        let Some(((_, head), below)) = from.split_first() else { return false };
+        let names = head.iter().filter(|cell| content(cell) == Content::Text).count();
+        let mut below = below.iter().take(BELOW);
+        names > 1
+            && names == head.len()
+            && below
+                .find(|(_, cells)| self.is_header(cells) || !is_text(cells))
+                .is_some_and(|(_, row)| row.len() == names && !self.is_header(row))
+    }
+
+    /// Says numbers in parentheses, which bookkeepers write for negative ones.
+    fn accounting(&mut self) {
+        let mut cells = self.rows.iter().flat_map(|(_, cells)| cells).filter(|cell| is_accounted(cell));
+        if let Some(first) = cells.next() {
+            let count = 1 + cells.count();
+            self.remarks.push(format!("{first} and the like are negative numbers ({count} cells)"));
+        }
+    }
+
     /// A line that names all the columns in another order is the header of another table.
     fn refuse_other_order(
         &self,
         place: &Place<'_>,
         (line, cells): (usize, &StringRecord),
     ) -> Result<(), InputError> {
-        let found = if is_text(cells) { names(cells) } else { Vec::new() };
+        let found = names(cells);
         if place.asked.is_empty() || !place.asked.iter().all(|name| found.contains(name)) {
             return Ok(());
         }
@@ -245,9 +368,17 @@ fn numeric_columns(all: &[Record], width: usize) -> Vec<bool> {
     balance.into_iter().map(|balance| balance > 0).collect()
 }
 
-/// A line with text and without any number.
+/// A line with text and without any number, or one that numbers the columns, as forms have it: (1) (2) (3). Where each field begins like a
+/// number, as `300 N`, it is a reading that cannot be read.
 fn is_text(cells: &StringRecord) -> bool {
+    if numbers_columns(cells) {
+        return true;
+    }
     let mut text = false;
+    let held = || cells.iter().filter(|cell| !cell.is_empty());
+    if held().count() > 1 && held().all(begins_like_number) {
+        return false;
+    }
     for cell in cells {
         match content(cell) {
             Content::Value => return false,
@@ -260,38 +391,29 @@ fn is_text(cells: &StringRecord) -> bool {
 
 /// A line that begins with text and is none of the rows: it has text where these have numbers, another number of fields, or the name of a statistic.
 fn misfits(cells: &StringRecord, numeric: &[bool]) -> bool {
-    let first = cells.iter().find(|cell| !cell.is_empty());
-    let begins = first.is_some_and(|cell| content(cell) == Content::Text);
+    let mut held = cells.iter().filter(|cell| !cell.is_empty());
+    let first = held.next();
+    let begins = first.is_some_and(|cell| {
+        content(cell) == Content::Text && !(begins_like_number(cell) && held.all(begins_like_number))
+    });
     let odd = || cells.iter().zip(numeric).any(|(cell, numeric)| *numeric && content(cell) == Content::Text);
     begins && (cells.len() != numeric.len() || odd() || first.is_some_and(is_statistic))
 }
 
+fn numbers_columns(cells: &StringRecord) -> bool {
+    cells.len() > 1 && cells.iter().enumerate().all(|(k, cell)| cell == format!("({})", k + 1))
+}
+
+fn begins_like_number(cell: &str) -> bool {
+    cell.trim_start_matches(|c: char| !c.is_alphanumeric()).starts_with(|c: char| c.is_ascii_digit())
+}
+
 /// Names of what is computed of a column and written below it.
 fn is_statistic(cell: &str) -> bool {
-    const NAMES: [&str; 20] = [
-        "mean",
-        "average",
-        "avg",
-        "median",
-        "sum",
-        "total",
-        "min",
-        "minimum",
-        "max",
-        "maximum",
-        "std",
-        "stdev",
-        "std dev",
-        "sd",
-        "standard deviation",
-        "mittelwert",
-        "mittel",
-        "summe",
-        "stabw",
-        "standardabweichung",
-    ];
+    const NAMES: &str = "mean|average|avg|median|sum|total|min|minimum|max|maximum|std|stdev|std dev|sd\
+        |standard deviation|mittelwert|mittel|summe|stabw|standardabweichung";
     let word = cell.to_lowercase().replace('.', "");
-    NAMES.contains(&word.trim_end_matches(':').trim())
+    one_of(NAMES, word.trim_end_matches(':').trim())
 }
 
 fn is_comment(cells: &StringRecord) -> bool {
@@ -304,6 +426,9 @@ fn lines(records: &[Record]) -> String {
 
 /// The first of some lines as they stand there.
 fn quoted(records: &[Record]) -> String {
-    let cells = records.first().map(|(_, cells)| cells.iter().filter(|c| !c.is_empty()).collect::<Vec<_>>());
-    cells.map_or_else(String::new, |cells| format!(" ({})", quote(&cells.join(", "))))
+    records.first().map_or_else(String::new, |(_, cells)| format!(" ({})", quote(&joined(cells))))
+}
+
+fn joined(cells: &StringRecord) -> String {
+    cells.iter().filter(|cell| !cell.is_empty()).collect::<Vec<_>>().join(", ")
 }

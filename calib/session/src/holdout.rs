@@ -1,9 +1,11 @@
 //! Sessions taken together: a holdout that is given separately, or a later session of the same sensor that is fitted too.
 
 use crate::error::{InputError, SessionError};
+use crate::foreign::as_imported;
 use crate::session::{LoadedSession, check_covariates, load};
+use crate::table::read_own;
 use crate::warning::SessionWarning;
-use crate::whisker::{self, ColumnRequirement};
+use crate::whisker::{self, ColumnRequirement, WHISKER_COLUMNS};
 use crate::{axis, transducer, whisker_checks};
 use std::path::Path;
 use wcal_core::files::folder_of;
@@ -14,6 +16,9 @@ use wcal_core::{
 };
 
 const PM_PER_NM: f64 = 1000.0;
+/// Columns of the other kinds.
+const SCALAR_COLUMNS: [&str; 6] =
+    ["stimulus", "stimulus_sd", "response", "commanded_mm", "measured_mm", "cycle"];
 
 /// Adds the rows at `path` (a session folder, or a CSV table with this session's columns) to the session's holdout.
 ///
@@ -145,12 +150,30 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
         path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
     let name = if session.inputs.iter().any(|i| i.path == file) { path.display().to_string() } else { file };
     let (purpose, warnings) = (Purpose::Holdout, &mut session.warnings);
+    let mut known: Vec<String> =
+        SCALAR_COLUMNS.iter().chain(&WHISKER_COLUMNS).map(|c| (*c).to_owned()).collect();
+    let mut units = Vec::new();
+    if let SessionData::Transducer(data) = &session.data {
+        known.extend(data.covariates.iter().cloned());
+        units.extend([("stimulus", data.stimulus_unit.as_str()), ("response", &data.response_unit)]);
+    }
+    let table = match as_imported(path, &name, &session.imported, &known, &units)? {
+        Some(table) => {
+            let columns = session.imported.iter().map(|(own, text)| format!("{own} from {text}"));
+            let columns = columns.collect::<Vec<_>>().join(", ");
+            let read = format!("read as a table of the form that was imported, all rows held out: {columns}");
+            let said = [read].into_iter().chain(table.remarks.clone()).chain(table.warnings.clone());
+            warnings.extend(said.map(|text| SessionWarning::other(&name, text)));
+            table
+        }
+        None => read_own(path, &name)?,
+    };
     let input = match (&mut session.data, &mut session.sealed) {
         (
             SessionData::Whisker(WhiskerData { whisker, fbg, trajectories, .. }),
             SealedRows::Whisker(holdout),
         ) => {
-            let table = whisker::read_rows(path, &name, fbg, trajectories, ColumnRequirement::Session)?;
+            let table = whisker::read_rows(&table, fbg, trajectories, ColumnRequirement::Session)?;
             whisker_checks::check_stage(&table.rows, trajectories, warnings)?;
             whisker_checks::check_reach(&table.rows, whisker_checks::length_mm(&whisker.rest_shape))?;
             warnings.extend(table.warnings);
@@ -158,13 +181,13 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
             InputFile { purpose, ..table.input }
         }
         (SessionData::Transducer(data), SealedRows::Transducer(holdout)) => {
-            let table = transducer::read_rows(path, &name, purpose, warnings)?;
+            let table = transducer::read_rows(&table, purpose, warnings)?;
             check_covariates(&name, &data.covariates, &table.covariates)?;
             holdout.extend(table.rows);
             table.input
         }
         (SessionData::Axis(_), SealedRows::Axis(holdout)) => {
-            let (rows, input) = axis::read_rows(path, &name, purpose, warnings)?;
+            let (rows, input) = axis::read_rows(&table, purpose, warnings)?;
             holdout.extend(rows);
             input
         }

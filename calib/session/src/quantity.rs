@@ -15,7 +15,7 @@ const PREFIXES: [(&str, &str, f64); 8] = [
     ("G", "giga", 1e9),
 ];
 /// Words for them, and other units: in small letters, with the base and the factor (inch, pound-force, kilopond and psi by their definitions).
-const WORDS: [(&str, &str, f64); 44] = [
+const WORDS: [(&str, &str, f64); 52] = [
     ("newton", "N", 1.0),
     ("pascal", "Pa", 1.0),
     ("volt", "V", 1.0),
@@ -60,9 +60,17 @@ const WORDS: [(&str, &str, f64); 44] = [
     ("fahrenheit", "degF", 1.0),
     ("f", "degF", 1.0),
     ("t", "g", 1e6),
+    ("lb", "g", 453.592_37),
+    ("oz", "g", 28.349_523_125),
+    ("ft", "m", 0.3048),
+    ("kp", "N", 9.806_65),
+    ("atm", "Pa", 101_325.0),
+    ("torr", "Pa", 133.322_368_421),
+    ("mmhg", "Pa", 133.322_387_415),
+    ("at", "Pa", 98_066.5),
 ];
 /// What at the end of a name, without brackets, more often is something else than a unit: `x_m` is measured, `sensor_in` an input.
-const UNCLEAR: [&str; 3] = ["in", "m", "t"];
+const UNCLEAR: [&str; 4] = ["in", "m", "t", "at"];
 
 /// Base and factor of a unit; none where it is not known.
 fn parsed(unit: &str) -> Option<(&'static str, f64)> {
@@ -88,6 +96,11 @@ fn parsed(unit: &str) -> Option<(&'static str, f64)> {
     short.or_else(|| word(&unit)).or_else(long).or_else(time).or((unit == "s").then_some(("s", 1.0)))
 }
 
+/// Whether a text is a unit that is known.
+pub fn is_unit(text: &str) -> bool {
+    parsed(text).is_some()
+}
+
 /// How a unit is related to another one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Relation {
@@ -109,7 +122,7 @@ pub fn relation(from: &str, to: &str) -> Relation {
     }
 }
 
-/// The unit in brackets at the end of a column's name: `Force (N)`, `t [ms]`.
+/// What stands in brackets at the end of a column's name: `Force (N)`, `t [ms]`.
 pub fn bracketed(name: &str) -> Option<&str> {
     let name = name.trim();
     [('(', ')'), ('[', ']'), ('{', '}'), ('<', '>')].into_iter().find_map(|(open, close)| {
@@ -118,17 +131,39 @@ pub fn bracketed(name: &str) -> Option<&str> {
     })
 }
 
-/// The unit at the end of a column's name, in brackets or as its last word, where it is of one kind with `to`: `t_ms`, `Zeit in min`, `timeMs`.
+/// The unit that a column's name states: `Force (N)`, `t [ms]`, and as DIN 1313 has it `F / kN` and `F in kN`, where the unit is known.
+pub fn stated_unit(name: &str) -> Option<&str> {
+    let standard = || [" / ", " in "].into_iter().find_map(|mark| Some(name.rsplit_once(mark)?.1.trim()));
+    bracketed(name).or_else(standard).filter(|unit| parsed(unit).is_some())
+}
+
+/// Units that a column's name may end with: `load_kN`, `t_ms`, `elapsed min`, `timeMs`. None where it has brackets, and none that more often is
+/// something else.
+pub fn possible_units(name: &str) -> impl Iterator<Item = &str> {
+    const MARKS: &[char] = &['_', ' ', '-', '.', ',', ':', '\u{a0}'];
+    let last = name.rsplit(MARKS).next().unwrap_or_default();
+    let part = last.rsplit('/').next().unwrap_or_default();
+    let camel =
+        part.rfind(char::is_uppercase).filter(|at| *at > 0 && part[..*at].ends_with(char::is_lowercase));
+    // A word that is a unit is one as a whole: kN is no k in newtons.
+    let words = match parsed(last) {
+        Some(_) => [Some(last), None],
+        None => [(part != last).then_some(part), camel.map(|at| &part[at..])],
+    };
+    let stated = bracketed(name).is_some();
+    words
+        .into_iter()
+        .flatten()
+        .filter(move |unit| !stated && !UNCLEAR.contains(unit) && parsed(unit).is_some())
+}
+
+/// The unit in a column's name, where it is of one kind with `to`.
 pub fn unit_in_name<'a>(name: &'a str, to: &str) -> Option<&'a str> {
     let of_kind = |unit: &&str| matches!(relation(unit, to), Relation::Times(_));
-    if let Some(unit) = bracketed(name) {
-        return Some(unit).filter(of_kind);
+    match stated_unit(name) {
+        Some(unit) => Some(unit).filter(of_kind),
+        None => possible_units(name).find(of_kind),
     }
-    let last = name.rsplit(['_', ' ', '/', '-', '.', ',', ':', '\u{a0}']).next()?;
-    let camel =
-        last.rfind(char::is_uppercase).filter(|at| *at > 0 && last[..*at].ends_with(char::is_lowercase));
-    let words = [Some(last), camel.map(|at| &last[at..])];
-    words.into_iter().flatten().filter(|unit| !UNCLEAR.contains(unit)).find(of_kind)
 }
 
 /// A unit as it is repeated in messages and documents.
@@ -161,6 +196,25 @@ mod tests {
         }
         assert_eq!(relation("V", "N"), Relation::Other);
         assert_eq!(relation("counts", "N"), Relation::Unknown);
+    }
+
+    #[test]
+    fn every_form_of_a_name_states_the_same_unit() {
+        for name in ["F / kN", "F in kN", "F [kN]", "F (kN)", "Kraft / kN", "F {kN}", "F / (kN)"] {
+            assert_eq!(stated_unit(name), Some("kN"), "{name}");
+            assert_eq!(unit_in_name(name, "N"), Some("kN"), "{name}");
+            assert_eq!(unit_in_name(name, "V"), None, "{name}");
+        }
+        for name in ["F_kN", "F kN", "F-kN", "F/kN"] {
+            assert_eq!((stated_unit(name), possible_units(name).next()), (None, Some("kN")), "{name}");
+            assert_eq!(unit_in_name(name, "N"), Some("kN"), "{name}");
+        }
+        for (name, unit) in [("Signal_mV/V", "mV/V"), ("kN", "kN"), ("timeMs", "Ms")] {
+            assert_eq!(possible_units(name).collect::<Vec<_>>(), [unit], "{name}");
+        }
+        for name in ["position in frame", "in / out", "Time (local)", "sensor_in", "x_m", "load"] {
+            assert_eq!((stated_unit(name), possible_units(name).next()), (None, None), "{name}");
+        }
     }
 
     #[test]

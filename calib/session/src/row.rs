@@ -5,6 +5,7 @@ use crate::table::TextTable;
 use crate::warning::{SessionWarning, WarningKind};
 use std::collections::HashMap;
 use wcal_core::Role;
+use wcal_core::text::number;
 
 /// One row of a table.
 #[derive(Clone, Copy)]
@@ -147,7 +148,7 @@ pub(crate) fn clock_problem(
     let back: Vec<&[(usize, f64)]> = timed.windows(2).filter(|w| w[1].1 < w[0].1).collect();
     let first = back.first()?;
     let (times, back_s) = (back.len(), first[0].1 - first[1].1);
-    let text = format!("t_s runs backwards {times} time(s), first by {back_s:.3} s");
+    let text = format!("t_s runs backwards {times} time(s), first by {} s", number(back_s, 6));
     let lines = back.iter().map(|w| w[1].0).collect();
     Some(SessionWarning::new(file, WarningKind::ClockProblem, text).at(lines))
 }

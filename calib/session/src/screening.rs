@@ -6,6 +6,7 @@ use crate::row::Row;
 use crate::table::TextTable;
 use crate::warning::{SessionWarning, WarningKind};
 use std::collections::{HashMap, HashSet};
+use wcal_core::text::number;
 
 /// No quantity of a calibration is this large: SCPI's 9.9e37 and 9.91e37, the largest float, 1e38 and their like.
 const HUGE: f64 = 1e30;
@@ -19,6 +20,10 @@ const MIN_BLOCK: usize = 6;
 const MAX_ROWS: usize = 20_000;
 /// A gauge with no more steps over what was read is coarse: its repeats agree. 12 bits.
 const COARSE_STEPS: f64 = 4096.0;
+/// Pairs of repeats that tell how often readings agree.
+const MIN_PAIRS: usize = 8;
+/// A block that chance gives so seldom is a copy.
+const CHANCE: f64 = 1e-4;
 
 /// Marks the rows in which an instrument wrote a code because it had no value: in columns that a person `set`, and in those that were `read`.
 pub(crate) fn overflow(
@@ -48,7 +53,8 @@ pub(crate) fn overflow(
     Ok(warnings)
 }
 
-/// Marks the rows that are copies. Readings of a coarse `gauge` agree by themselves; none where a row holds too much to agree by chance.
+/// Marks the rows that are copies. Readings of a `gauge` agree by themselves as often as its repeats do; none where a row holds too much to agree
+/// by chance.
 pub(crate) fn copied(
     table: &TextTable,
     gauge: Option<&str>,
@@ -57,7 +63,17 @@ pub(crate) fn copied(
     let kept: Vec<usize> = (0..out.len()).filter(|&k| !out[k]).collect();
     let readings = gauge.map(|name| column(table, name)).transpose()?;
     let coarse = readings.is_some_and(|values| is_coarse(kept.iter().filter_map(|&k| values[k])));
-    let again = if coarse || kept.len() > MAX_ROWS { Vec::new() } else { copies(table, &kept) };
+    let mut again = if kept.len() > MAX_ROWS { Vec::new() } else { copies(table, &kept) };
+    if coarse {
+        // Each block by itself: it could begin with any two repeats of a place.
+        let repeats = gauge.and_then(|name| agreement(table, name, &kept, again.len()));
+        let seldom = |block: &[(usize, usize)]| {
+            repeats.is_some_and(|(pairs, share)| share.powi(block.len() as i32) * pairs <= CHANCE)
+        };
+        let blocks = again.chunk_by(|a, b| a.0 + 1 == b.0 && a.1 == b.1);
+        again = blocks.filter(|block| seldom(block)).flatten().copied().collect();
+    }
+    let again: Vec<usize> = again.into_iter().map(|(k, _)| k).collect();
     if again.is_empty() {
         return Ok(None);
     }
@@ -125,9 +141,26 @@ fn is_coarse(readings: impl Iterator<Item = f64> + Clone) -> bool {
     !(high > low) || readings.into_iter().all(|v| (v / unit - (v / unit).round()).abs() < 1e-6)
 }
 
+/// Pairs of readings of the gauge at one place, and how often they agree, copies and their sources apart; none where few are repeats.
+fn agreement(table: &TextTable, gauge: &str, kept: &[usize], copies: usize) -> Option<(f64, f64)> {
+    let without = ["point", "t_s", gauge].map(|name| table.place(name));
+    let mut places: HashMap<Vec<&str>, HashMap<Option<&str>, usize>> = HashMap::new();
+    for &k in kept {
+        let cells = &table.rows[k].1;
+        let set = cells.iter().enumerate().filter(|(column, _)| !without.contains(&Some(*column)));
+        let reading = without[2].map(|column| &cells[column]);
+        *places.entry(set.map(|(_, cell)| cell).collect()).or_default().entry(reading).or_default() += 1;
+    }
+    let pairs = |count: usize| count * (count - 1) / 2;
+    let all: usize = places.values().map(|readings| pairs(readings.values().sum())).sum();
+    let alike: usize = places.values().flat_map(HashMap::values).map(|count| pairs(*count)).sum();
+    let [others, alike] = [all, alike].map(|count| count.saturating_sub(copies));
+    (others >= MIN_PAIRS).then(|| (all as f64, (alike + 1) as f64 / (others + 2) as f64))
+}
+
 /// The rows of `kept` that repeat an earlier one in every cell: with its point number or its time, or in a block of rows that follow each other
-/// as they do there.
-fn copies(table: &TextTable, kept: &[usize]) -> Vec<usize> {
+/// as they do there; each with how far before it that row stands.
+fn copies(table: &TextTable, kept: &[usize]) -> Vec<(usize, usize)> {
     let [point, time] = ["point", "t_s"].map(|name| table.place(name));
     let cells = |k: usize, without: Option<usize>| -> Vec<&str> {
         let all = table.rows[k].1.iter().enumerate();
@@ -135,7 +168,7 @@ fn copies(table: &TextTable, kept: &[usize]) -> Vec<usize> {
     };
     let rows: Vec<Vec<&str>> = kept.iter().map(|&k| cells(k, point)).collect();
     let (mut first, mut whole) = (HashMap::new(), HashSet::new());
-    let mut copied = vec![false; rows.len()];
+    let mut copied = vec![0; rows.len()];
     // Each row of a block is a copy of the one that stands so many rows before it.
     let (mut block, mut back) = (0..0, 0);
     for (k, row) in rows.iter().enumerate() {
@@ -147,12 +180,56 @@ fn copies(table: &TextTable, kept: &[usize]) -> Vec<usize> {
             (false, before) => (k..k + 1, before),
         };
         if block.len() >= MIN_BLOCK {
-            copied[block.clone()].fill(true);
+            copied[block.clone()].fill(back);
         }
         let timed = time.is_some_and(|column| !table.rows[kept[k]].1[column].is_empty());
-        copied[k] |= (timed && before > 0) | !whole.insert(cells(kept[k], None));
+        let again = !whole.insert(cells(kept[k], None)) || timed && before > 0;
+        if again && copied[k] == 0 {
+            copied[k] = before;
+        }
     }
-    kept.iter().zip(copied).filter(|(_, copied)| *copied).map(|(k, _)| *k).collect()
+    kept.iter().copied().zip(copied).filter(|(_, back)| *back > 0).collect()
+}
+
+/// Two columns that stand in each other's place from some row on: the settings of the rows before are read in the other column then, to the last
+/// digit, and no longer in their own.
+pub(crate) fn exchanged(table: &TextTable, [set, read]: [&str; 2]) -> Result<(), InputError> {
+    let columns = [column(table, set)?, column(table, read)?];
+    for [own, other] in [[0, 1], [1, 0]] {
+        let bits = |k: usize, column: usize| columns[column][k].map(f64::to_bits);
+        let mut before: HashSet<Option<u64>> = HashSet::new();
+        let rows = table.rows.len();
+        // Where the columns are exchanged, a value stands in its own column for the first time and in the other again.
+        let first = (0..rows).find(|&k| {
+            let begins =
+                k >= MIN_BLOCK && !before.contains(&bits(k, own)) && before.contains(&bits(k, other));
+            before.insert(bits(k, own));
+            begins
+        });
+        let Some(first) = first.filter(|first| rows - first >= MIN_BLOCK) else { continue };
+        let settings: HashSet<Option<u64>> = (0..first).map(|k| bits(k, own)).collect();
+        let of = |rows: std::ops::Range<usize>, column: usize| {
+            rows.filter(|&k| settings.contains(&bits(k, column))).count()
+        };
+        let after = rows - first;
+        // Settings repeat, and readings seldom meet one.
+        if 2 * settings.len() <= first
+            && of(first..rows, other) == after
+            && 10 * of(first..rows, own) <= after
+            && 10 * of(0..first, other) <= first
+        {
+            let found = format!(
+                "them in the other column, {}, in all {after} rows from there on",
+                [set, read][other]
+            );
+            let error = InputError::new(&table.file, "the settings of the rows before", found);
+            return Err(error
+                .at(table.rows[first].0)
+                .field([set, read][own])
+                .hint("the two columns are exchanged there?"));
+        }
+    }
+    Ok(())
 }
 
 /// A row as its place in the sequence shows it: line in the file, position or stimulus, time, direction.
@@ -163,7 +240,7 @@ pub(crate) type Step = (usize, f64, Option<f64>, Option<f64>);
 pub(crate) fn contradiction(file: &str, setting: &str, rows: &[Step]) -> Result<(), InputError> {
     let first = rows.first().and_then(|first| Some((first.0, first.2.filter(|_| rows.len() > 1)?)));
     if let Some((line, t_s)) = first.filter(|(_, t_s)| rows.iter().all(|r| r.2 == Some(*t_s))) {
-        let found = format!("t_s {t_s} in all {} rows", rows.len());
+        let found = format!("t_s {} in all {} rows", number(t_s, 12), rows.len());
         let error = InputError::new(file, "a time that runs", found).at(line).field("t_s");
         return Err(error.hint("leave --time out at import: the order of the rows then stands for it"));
     }
@@ -228,6 +305,12 @@ mod tests {
         assert!(read(table(&sweeps(6, 4.0, 5), [])).is_empty());
         assert!(read(table(&sweeps(1, 0.0, 2), 0..11)).is_empty());
         assert!(read(table(&sweeps(6, 0.2, 2), [])).is_empty());
+        // Four decimals are coarse, but repeats that scatter over several of them do not agree eight times in a row; those of a quiet gauge may.
+        assert_eq!(read(table(&sweeps(3, 8.0, 3), 11..19)), (35..43).collect::<Vec<_>>());
+        assert!(read(table(&sweeps(3, 0.6, 3), 11..19)).is_empty());
+        for (count, noise) in [(3, 8.0), (60, 0.15), (60, 0.3), (60, 0.6)] {
+            assert!(read(table(&sweeps(count, noise, 3), [])).is_empty(), "{count} {noise}");
+        }
         // A time is read once.
         let timed = "point,t_s,response\n0,1.5,0.123456\n1,2.5,0.234567\n2,1.5,0.123456\n";
         assert_eq!(copied_lines(timed, Some("response")), [4]);
@@ -255,6 +338,36 @@ mod tests {
         assert_eq!(codes(&[0.1, 9.9e37], true), [9.9e37]);
         // Half of a column and more is its content.
         assert!(codes(&[0.1, 0.2, 0.3, 0.4, 9999.0, 9999.0, 9999.0, 9999.0, 9999.0], false).is_empty());
+    }
+
+    #[test]
+    fn columns_that_change_places_are_named_and_readings_that_meet_a_setting_are_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("t.csv");
+        let said = |row: &dyn Fn(usize, f64, f64) -> [f64; 2]| {
+            let scatter = |k: usize| ((k as f64 * 12.9898).sin() * 43758.5453).rem_euclid(1.0) - 0.5;
+            let lines = (0..44).map(|k| {
+                let x = 10.0 * (k % 11) as f64;
+                let [a, b] = row(k, x, 0.9 * x + 8.0 + scatter(k));
+                format!("{a},{b}\n")
+            });
+            std::fs::write(&path, "stimulus,response\n".to_owned() + &lines.collect::<String>()).unwrap();
+            let table = read_own(&path, "t.csv").unwrap();
+            exchanged(&table, ["stimulus", "response"]).err().map(|e| e.to_string())
+        };
+        let swapped = said(&|k, x, y| if k < 22 { [x, y] } else { [y, x] }).unwrap();
+        assert!(
+            swapped.contains("row at line 24, field stimulus")
+                && swapped.contains("response, in all 22 rows"),
+            "{swapped}"
+        );
+        let first = said(&|k, x, y| if k < 22 { [y, x] } else { [x, y] }).unwrap();
+        assert!(first.contains("row at line 24, field response"), "{first}");
+        // Nothing exchanged, a coarse gauge of a slope of one, settings that are readings themselves, and new settings in the second half.
+        assert_eq!(said(&|_, x, y| [x, y]), None);
+        assert_eq!(said(&|_, x, _| [x, x]), None);
+        assert_eq!(said(&|k, x, y| if k < 22 { [x + 1e-3 * y, y] } else { [y, x + 1e-3 * y] }), None);
+        assert_eq!(said(&|k, x, _| if k < 22 { [x, x + 10.0] } else { [x + 5.0, x + 10.0] }), None);
     }
 
     /// `cycles` of five positions up and down; `direction` by cycle and way.

@@ -29,6 +29,11 @@ impl Separator {
         (Self::Tab, '\t', "tabs", "tab"),
     ];
 
+    /// Its name in a sentence and on the command line.
+    pub(crate) fn called(self) -> (&'static str, &'static str) {
+        Self::ALL.iter().find(|s| s.0 == self).map_or(("blanks", "whitespace"), |s| (s.2, s.3))
+    }
+
     /// By its character.
     pub(crate) fn of(mark: char) -> Option<Self> {
         Self::ALL.iter().find(|s| s.1 == mark).map(|s| s.0)

@@ -3,12 +3,14 @@
 use crate::document::{parse, sections};
 use crate::error::{InputError, SessionError, quote};
 use crate::shapes::Expected;
+use crate::table::read_own;
 use crate::transducer::{self, TransducerSection};
 use crate::warning::SessionWarning;
 use crate::whisker::{self, ColumnRequirement};
 use crate::whisker_meta::{self, MomentSection, TrajectorySection, WhiskerSection};
 use crate::{axis, whisker_checks};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 use wcal_core::files::{MAX_DOCUMENT_BYTES, read_within};
 use wcal_core::provenance::sha256_hex;
@@ -50,6 +52,8 @@ pub struct LoadedSession {
     pub meta: toml::Table,
     /// What deserves attention: unknown keys and columns, stage against groove, time, missing labels.
     pub warnings: Vec<SessionWarning>,
+    /// Columns of the table that it was imported from, where they have other names there, by its own.
+    pub imported: BTreeMap<String, String>,
     /// Name of the points table, relative to the folder.
     pub points_file: String,
     /// Folder with the pictures of its points, where it has them.
@@ -174,11 +178,19 @@ pub fn load(folder: &Path) -> Result<LoadedSession, SessionError> {
         sealed,
         holdout_folders: Vec::new(),
         inputs,
+        imported: imported_columns(&meta),
         meta,
         warnings,
         points_file,
         pictures,
     })
+}
+
+/// `[provenance] columns`, which an import writes.
+fn imported_columns(meta: &toml::Table) -> BTreeMap<String, String> {
+    let columns = meta.get("provenance").and_then(|p| p.get("columns")?.as_table());
+    let text = |(name, column): (&String, &toml::Value)| Some((name.clone(), column.as_str()?.to_owned()));
+    columns.into_iter().flatten().filter_map(text).collect()
 }
 
 impl Files {
@@ -258,7 +270,8 @@ fn load_whisker(
     let length_mm = whisker_checks::length_mm(&whisker.rest_shape);
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
         let path = folder.join(name);
-        let table = whisker::read_rows(&path, name, &mut fbg, &trajectories, ColumnRequirement::Session)?;
+        let table = read_own(&path, name)?;
+        let table = whisker::read_rows(&table, &mut fbg, &trajectories, ColumnRequirement::Session)?;
         // A factor of 1000 is named as such before it is called out of reach.
         whisker_checks::check_stage(&table.rows, &trajectories, warnings)?;
         whisker_checks::check_reach(&table.rows, length_mm)?;
@@ -316,12 +329,14 @@ fn load_transducer(
             return Err(InputError::new(NAME, "a unit, e.g. \"N\"", "an empty text").field(field).into());
         }
     }
-    let table = transducer::read_rows(&folder.join(&files.points), &files.points, Purpose::Fit, warnings)?;
+    let table = read_own(&folder.join(&files.points), &files.points)?;
+    let table = transducer::read_rows(&table, Purpose::Fit, warnings)?;
     inputs.push(table.input);
     let (mut rows, covariates) = (table.rows, table.covariates);
     let mut holdout = seal(&mut rows, |r| r.role);
     if let Some(name) = &files.holdout {
-        let sealed = transducer::read_rows(&folder.join(name), name, Purpose::Holdout, warnings)?;
+        let table = read_own(&folder.join(name), name)?;
+        let sealed = transducer::read_rows(&table, Purpose::Holdout, warnings)?;
         check_covariates(name, &covariates, &sealed.covariates)?;
         inputs.push(sealed.input);
         holdout.extend(sealed.rows);
@@ -351,7 +366,7 @@ fn load_axis(
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<(AxisData, Sealed<AxisRow>), SessionError> {
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
-        let (rows, input) = axis::read_rows(&folder.join(name), name, purpose, warnings)?;
+        let (rows, input) = axis::read_rows(&read_own(&folder.join(name), name)?, purpose, warnings)?;
         inputs.push(input);
         Ok(rows)
     };

@@ -39,8 +39,12 @@ impl Form {
             let span = t.duration_since(DateTime::constant(2000, 1, 1, 0, 0, 0, 0));
             Some(span.as_secs_f64())
         };
-        // Some write the fraction of a second after a comma, or a second blank.
-        let plain = || text.replace(',', ".").split_whitespace().collect::<Vec<_>>().join(" ");
+        // Some write the fraction of a second after a comma or a third colon, or a second blank.
+        let plain = || {
+            let text = text.replace(',', ".").split_whitespace().collect::<Vec<_>>().join(" ");
+            let third = text.match_indices(':').nth(2).map(|(at, _)| at);
+            third.map_or(text.clone(), |at| format!("{}.{}", &text[..at], &text[at + 1..]))
+        };
         match self {
             Self::Instant => {
                 let instant = text.parse::<jiff::Timestamp>().ok()?;
@@ -84,6 +88,27 @@ impl Form {
             }
         }
     }
+}
+
+/// Whether a time stamp has no date.
+pub(crate) fn is_clock(text: &str) -> bool {
+    [Form::Clock, Form::Halves].iter().any(|form| form.seconds(text).is_some())
+}
+
+/// Whether a text is a time of the day, as it may stand behind a date.
+pub(crate) fn is_time_of_day(text: &str) -> bool {
+    const DATE: usize = 5;
+    text.contains(':')
+        && (1..TIMES.len()).any(|t| Form::Other(DATE, t).seconds(&format!("2025/03/04 {text}")).is_some())
+}
+
+/// Whether a text is a date without a time.
+pub(crate) fn is_date(text: &str) -> bool {
+    let dates = (0..DATES.len()).map(|d| Form::Other(d, 0)).chain([Form::Local]);
+    !text.contains(':')
+        && !text.contains('T')
+        && is_stamp(text)
+        && dates.into_iter().any(|f| f.seconds(text).is_some())
 }
 
 /// Whether a text is a time stamp.
@@ -137,7 +162,8 @@ fn relative(times: &mut [f64], of_day: bool) {
             days += DAY_S;
         }
         before = now;
-        *time = now + days - first;
+        // Whole microseconds: a difference of large numbers has no more.
+        *time = ((now + days - first) * 1e6).round() / 1e6;
     }
 }
 
@@ -163,6 +189,7 @@ mod tests {
             ["11:59:50 PM", "12:00:10 AM"],
             ["24:59:50.0", "25:00:10.0"],
             ["59:50.5", "60:10.5"],
+            ["03/14/2025 23:59:50:123", "03/15/2025 00:00:10:123"],
         ] {
             assert!(stamps.iter().all(|s| is_stamp(s)), "{stamps:?}");
             let found = seconds(&stamps).unwrap();
@@ -174,6 +201,10 @@ mod tests {
         assert_eq!(seconds(&["04/03/2025 23:59", "05/03/2025 00:01"]).unwrap(), [0.0, 120.0]);
         assert!(seconds(&["04/03/2025", "05/04/2025"]).unwrap_err().1.contains("exchanged"));
         assert_eq!(seconds(&["2025-03-04T10:00:00", "later"]).unwrap_err().0, 1);
+        assert_eq!(seconds(&["04.03.2025 10:00:00,100", "04.03.2025 10:00:01,101"]).unwrap(), [0.0, 1.001]);
+        assert!(["2025-03-04", "04.03.2025", "3/14/2025"].iter().all(|s| is_date(s) && !is_time_of_day(s)));
+        assert!(["9:05", "09:05:00,25", "9:05 PM"].iter().all(|s| is_time_of_day(s) && !is_date(s)));
+        assert!(!["2025-03-04 09:05", "12.5", "90:10"].iter().any(|s| is_time_of_day(s) || is_date(s)));
         assert!(!["12.5", "A-101", "1.5.2", "cell 3:4", "n/a"].iter().any(|s| is_stamp(s)));
     }
 }

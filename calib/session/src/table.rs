@@ -6,7 +6,6 @@ use crate::columns::column_range;
 use crate::error::{InputError, SessionError, listed, not_utf8, quote};
 use crate::form::{Form, Place, Preamble};
 use crate::separated::{Separator, other_separator, records};
-use crate::stamp;
 use crate::units::split_unit;
 use crate::warning::{SessionWarning, WarningKind};
 use csv::StringRecord;
@@ -122,13 +121,16 @@ pub(crate) fn read_own(path: &Path, name: &str) -> Result<TextTable, SessionErro
 fn parse(file: &str, text: &str, layout: &TextTableLayout) -> Result<TextTable, InputError> {
     let skipped = layout.skip_lines;
     let foreign = layout.asked.is_some();
-    let preamble = if foreign { Preamble::read(text) } else { Preamble::default() };
+    let mut preamble = if foreign { Preamble::read(text) } else { Preamble::default() };
     let start = text.split_inclusive('\n').take(skipped).map(str::len).sum::<usize>();
     let text = &text[start..];
     let error = |expected: String, found: String| InputError::new(file, expected, found);
     if let Some((k, line)) = text.lines().enumerate().find(|(_, line)| line.len() > MAX_LINE) {
         let expected = format!("at most {MAX_LINE} bytes in a line");
         return Err(error(expected, line.len().to_string()).at(skipped + k + 1));
+    }
+    if let (None, None, Some(asked)) = (layout.separator, &layout.columns, layout.asked.as_deref()) {
+        preamble.find_separator(text, asked, layout.decimal_comma);
     }
     let separator = layout.separator.or(preamble.separator).unwrap_or_default();
     let (stated, asked) = (layout.columns.as_deref(), layout.asked.as_deref());
@@ -289,31 +291,21 @@ impl TextTable {
         (0..self.columns.len()).filter(|&k| self.columns[k] == name).collect()
     }
 
-    /// Lines in which a column has a word for a missing value, or nothing.
-    pub fn missing(&self, column: usize) -> Vec<usize> {
-        let without = |cell: &str| cell.is_empty() || is_missing(cell);
-        self.rows.iter().filter(|(_, cells)| without(&cells[column])).map(|(line, _)| *line).collect()
+    /// Whether cells may have the forms of other programs.
+    pub(crate) fn is_foreign(&self) -> bool {
+        self.foreign
     }
 
-    /// Times of a column of time stamps in seconds after its first, empty cells left out; none where it holds numbers.
-    ///
-    /// # Errors
-    /// Where a cell is no time stamp beside others that are, or day and month could be exchanged.
-    pub fn stamps_s(&self, column: usize) -> Result<Option<Vec<Option<f64>>>, InputError> {
-        let all = self.rows.iter().enumerate().map(|(row, (_, cells))| (row, &cells[column]));
-        let held: Vec<(usize, &str)> =
-            all.filter(|(_, cell)| !cell.is_empty() && !is_missing(cell)).collect();
-        if !self.foreign || !held.iter().any(|(_, cell)| stamp::is_stamp(cell)) {
-            return Ok(None);
-        }
-        let cells: Vec<&str> = held.iter().map(|(_, cell)| *cell).collect();
-        let seconds = stamp::seconds(&cells).map_err(|(k, expected)| {
-            let (line, _) = self.rows[held[k].0];
-            InputError::new(&self.file, expected, quote(cells[k])).at(line).field(&self.columns[column])
-        })?;
-        let mut times = vec![None; self.rows.len()];
-        held.iter().zip(seconds).for_each(|((row, _), time)| times[*row] = Some(time));
-        Ok(Some(times))
+    /// The same file as a table of a session.
+    pub(crate) fn of_session(
+        self,
+        name: &str,
+        columns: Vec<String>,
+        rows: Vec<(usize, StringRecord)>,
+    ) -> Self {
+        let file = name.to_owned();
+        let ranges = columns.iter().map(|column| column_range(column)).collect();
+        Self { file, columns, rows, ranges, foreign: false, decimal_comma: false, ..self }
     }
 
     /// +1 or -1 of a cell of a direction, by its sign, number or word.
@@ -389,7 +381,9 @@ impl TextTable {
                 Err(error("a number")
                     .hint("decimals with a comma (--decimal-comma), or a thousands separator?"))
             }
-            Err(_) if cell.contains(':') => Err(error("a number").hint("a time of the day? write hh:mm:ss")),
+            Err(_) if cell.contains(':') => {
+                Err(error("a number").hint("a time of the day? write hh:mm:ss, or name the column t [mm:ss]"))
+            }
             Err(_) => Err(error("a number")),
         }
     }

@@ -1,12 +1,11 @@
 //! Sessions of kind "transducer": one stimulus, one response.
 
-use crate::error::{InputError, SessionError};
+use crate::error::InputError;
 use crate::row::{PointNumbers, Row, clock_problem};
-use crate::screening::{contradiction, copied, overflow};
-use crate::table::read_own;
+use crate::screening::{contradiction, copied, exchanged, overflow};
+use crate::table::TextTable;
 use crate::warning::SessionWarning;
 use serde::Deserialize;
-use std::path::Path;
 use wcal_core::text::brief;
 use wcal_core::{InputFile, Purpose, TransducerModel, TransducerRow};
 
@@ -27,32 +26,32 @@ pub(crate) struct TransducerTable {
     pub(crate) input: InputFile,
 }
 
-/// Reads a table. Columns beyond the known ones are covariates when their first cell is a number.
+/// Reads the rows of a table. Columns beyond the known ones are covariates when their first cell is a number.
 pub(crate) fn read_rows(
-    path: &Path,
-    name: &str,
+    table: &TextTable,
     purpose: Purpose,
     warnings: &mut Vec<SessionWarning>,
-) -> Result<TransducerTable, SessionError> {
-    let table = read_own(path, name)?;
+) -> Result<TransducerTable, InputError> {
+    let name = &table.file;
     let group = table.group();
     let required = ["point", "role", "stimulus", "response"];
     let known = [&["stimulus_sd", "t_s", "temperature_degc", "direction"][..], &group].concat();
     let others = table.others(&required, &known)?;
     let (covariates, without): (Vec<String>, Vec<String>) =
-        others.into_iter().partition(|column| matches!(Row::new(&table, 0).number(column), Ok(Some(_))));
+        others.into_iter().partition(|column| matches!(Row::new(table, 0).number(column), Ok(Some(_))));
     let without =
         without.iter().map(|column| format!("column {} holds no numbers and is not used", brief(column)));
     warnings.extend(without.map(|text| SessionWarning::other(name, text)));
     let mut points = PointNumbers::default();
-    Row::all(&table).try_for_each(|row| points.note(&row, row.point()?))?;
+    Row::all(table).try_for_each(|row| points.note(&row, row.point()?))?;
     let mut out = vec![false; table.rows.len()];
     let read: Vec<&str> =
         ["response", "temperature_degc"].into_iter().chain(covariates.iter().map(String::as_str)).collect();
-    warnings.extend(overflow(&table, [&["stimulus"], &read], &mut out)?);
-    warnings.extend(copied(&table, Some("response"), &mut out)?);
+    exchanged(table, ["stimulus", "response"])?;
+    warnings.extend(overflow(table, [&["stimulus"], &read], &mut out)?);
+    warnings.extend(copied(table, Some("response"), &mut out)?);
     let mut rows = Vec::new();
-    for row in Row::all(&table).filter(|row| !out[row.index]) {
+    for row in Row::all(table).filter(|row| !out[row.index]) {
         let covariate = |column: &String| {
             let missing = || row.error(column, "a number (a covariate in every row)", "nothing");
             row.number(column)?.ok_or_else(missing)

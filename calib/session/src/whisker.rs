@@ -42,8 +42,8 @@ pub struct ReadingTable {
 /// # Errors
 /// As [`crate::load`]: the first cell that cannot be used.
 pub fn load_table(path: &Path, fbg: &FbgSpec) -> Result<ReadingTable, SessionError> {
-    let name = path.display().to_string();
-    read_rows(path, &name, &mut fbg.clone(), &[], ColumnRequirement::Readings)
+    let table = read_own(path, &path.display().to_string())?;
+    Ok(read_rows(&table, &mut fbg.clone(), &[], ColumnRequirement::Readings)?)
 }
 
 /// Columns of a whisker's table in the order of the reference: those that an import takes by their names, and a recorded session has with
@@ -81,15 +81,14 @@ pub const IN_SESSION: [&str; 6] =
 const SHIFTS: [&str; 3] = ["fbg_1_shift_nm", "fbg_2_shift_nm", "fbg_ref_shift_nm"];
 const WAVELENGTHS: [&str; 3] = ["fbg_1_nm", "fbg_2_nm", "fbg_ref_nm"];
 
-/// Reads a table of readings. A missing `reference_nominal_nm` is set from the first reading (its offset is part of the zero).
+/// Reads the rows of a table of readings. A missing `reference_nominal_nm` is set from the first reading (its offset is part of the zero).
 pub(crate) fn read_rows(
-    path: &Path,
-    name: &str,
+    table: &TextTable,
     fbg: &mut FbgSpec,
     trajectories: &[Trajectory],
     requirement: ColumnRequirement,
-) -> Result<ReadingTable, SessionError> {
-    let table = read_own(path, name)?;
+) -> Result<ReadingTable, InputError> {
+    let name = &table.file;
     let in_session = requirement == ColumnRequirement::Session;
     let shifts = SHIFTS[..2].iter().all(|column| table.place(column).is_some());
     let (gratings, foreign) = if shifts { (SHIFTS, WAVELENGTHS) } else { (WAVELENGTHS, SHIFTS) };
@@ -100,15 +99,15 @@ pub(crate) fn read_rows(
     let mut warnings = unknown_columns(name, table.others(&required, &known)?);
     if !shifts && fbg.nominal_nm.is_none() {
         let expected = "two nominal wavelengths in nm, since the table holds fbg_1_nm";
-        return Err(InputError::new("session.toml", expected, "nothing").field("fbg.nominal_nm").into());
+        return Err(InputError::new("session.toml", expected, "nothing").field("fbg.nominal_nm"));
     }
     let mut out = vec![false; table.rows.len()];
     let sensed = [&gratings[..], &["temperature_degc"]].concat();
-    warnings.extend(overflow(&table, [&[], &sensed], &mut out)?);
+    warnings.extend(overflow(table, [&[], &sensed], &mut out)?);
     let [mut lost, mut late, mut moved] = [(); 3].map(|()| Vec::new());
     // A mean over several places is a reading of none of them.
     let coded = out.clone();
-    for row in Row::all(&table).filter(|row| in_session && !coded[row.index]) {
+    for row in Row::all(table).filter(|row| in_session && !coded[row.index]) {
         if row.stream()? == "moved" {
             moved.push(row.point()?);
             out[row.index] = true;
@@ -117,11 +116,11 @@ pub(crate) fn read_rows(
     let without_copies = out.clone();
     // A free table may hold the same rounded readings many times; a session's points are poses.
     if in_session {
-        warnings.extend(copied(&table, None, &mut out)?);
+        warnings.extend(copied(table, None, &mut out)?);
     }
     let known: HashSet<u32> = trajectories.iter().map(|t| t.id).collect();
     let (mut points, mut rows) = (PointNumbers::default(), Vec::new());
-    for row in Row::all(&table) {
+    for row in Row::all(table) {
         // The number of a copy was noted with the row that it copies.
         if !out[row.index] || without_copies[row.index] {
             points.note(&row, row.point_or_order()?)?;

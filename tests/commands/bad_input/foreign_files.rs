@@ -31,33 +31,46 @@ fn german(text: &str) -> String {
 }
 
 #[test]
-fn a_table_in_another_form_is_named_with_the_option_that_reads_it() {
+fn a_table_in_another_form_is_read_and_the_option_named() {
     let tabs = TEXT.replace(',', "\t");
-    // Name, bytes, what the error says, and the options that read it.
-    type Case = (&'static str, Vec<u8>, &'static [&'static str], &'static [&'static str]);
+    let blanks = "load sig\n0 1.5\n500 2.5\n1000 3.5\n".to_owned();
+    // Name, table, what is said, and the options that read it.
+    type Case = (&'static str, String, &'static [&'static str]);
     let cases: Vec<Case> = vec![
-        ("tabs", tabs.clone().into_bytes(), &["--separator tab"], &["--separator", "tab"]),
-        (
-            "semicolons",
-            TEXT.replace(',', ";").into_bytes(),
-            &["--separator semicolon"],
-            &["--separator", "semicolon"],
-        ),
-        (
-            "decimal commas",
-            german(TEXT).into_bytes(),
-            &["--separator semicolon --decimal-comma"],
-            &["--separator", "semicolon", "--decimal-comma"],
-        ),
+        ("tabs", tabs, &["--separator", "tab"]),
+        ("semicolons", TEXT.replace(',', ";"), &["--separator", "semicolon"]),
+        ("decimal commas", german(TEXT), &["--separator", "semicolon", "--decimal-comma"]),
+        ("blanks", blanks, &["--separator", "whitespace"]),
     ];
-    for (name, bytes, says, options) in cases {
+    for (name, text, options) in cases {
+        let columns = match name {
+            "blanks" => [&COLUMNS[..3], &["load", "--response", "sig"], &COLUMNS[6..]].concat(),
+            _ => COLUMNS.to_vec(),
+        };
+        let points = |options: &[&str], says: &[&str]| {
+            let place = tempfile::tempdir().unwrap();
+            fs::write(place.path().join("t.csv"), &text).unwrap();
+            let import = [&["import", "t.csv"], &columns[..], options].concat();
+            judge(&wcal(place.path(), &import), 0, says).unwrap_or_else(|why| panic!("{name}: {why}"));
+            fs::read_to_string(place.path().join("s/points.csv")).unwrap()
+        };
+        let said =
+            options.join(" ").replace(" --decimal-comma", ") and a comma before decimals (--decimal-comma");
+        assert_eq!(points(&[], &["3 rows", &said]), points(options, &["3 rows"]), "{name}");
+    }
+    // Control: what is stated is not looked for, and a comma that may stand between thousands is no decimal one.
+    for (text, options, says) in [
+        (TEXT.replace(',', ";"), &["--separator", "tab"][..], "a column Force (N)"),
+        ("Force (N);Signal (mV/V)\n0;1,500\n500;2,500\n".to_owned(), &[], "thousands separator"),
+        (
+            "# the\tForce (N)\tof a cell\nForce,Signal\n1,2\n2,3\n".to_owned(),
+            &[],
+            "found the columns Force, Signal",
+        ),
+    ] {
         let place = tempfile::tempdir().unwrap();
-        fs::write(place.path().join("t.csv"), bytes).unwrap();
-        let import = [&["import", "t.csv"], COLUMNS].concat();
-        judge(&wcal(place.path(), &import), 1, says).unwrap_or_else(|why| panic!("{name}: {why}"));
-        assert_eq!(listing(place.path()), ["t.csv"], "{name}");
-        judge(&wcal(place.path(), &[&import, options].concat()), 0, &["3 rows"])
-            .unwrap_or_else(|why| panic!("{name} with {options:?}: {why}"));
+        fs::write(place.path().join("t.csv"), text).unwrap();
+        judge(&wcal(place.path(), &[&["import", "t.csv"], COLUMNS, options].concat()), 1, &[says]).unwrap();
     }
 }
 

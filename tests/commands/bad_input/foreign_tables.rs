@@ -166,6 +166,8 @@ fn times_are_in_the_unit_that_the_table_states_or_it_is_asked() {
         ("Zeit (min)", &|k: usize| (20 * k).to_string()),
         ("Zeit [Tage]", &|k: usize| format!("{:.7}", 45720.4 + k as f64 / 72.0)),
         ("clock", &clock),
+        ("t [mm:ss]", &|k| format!("{:02}:00", 20 * k)),
+        ("Zeit (hh:mm)", &|k| format!("{}:{:02}", 10 + k / 3, 20 * (k % 3))),
         ("stamp", &stamp),
         ("day first", &|k: usize| format!("0{}.03.2025 {}", 4 + usize::from(k > 0), clock(k))),
     ] {
@@ -184,6 +186,9 @@ fn times_are_in_the_unit_that_the_table_states_or_it_is_asked() {
         let (found, _, said) = seconds(&timed("t", time), "t");
         assert!(found == code && said.contains(way), "{said}");
     }
+    // Control: nothing says which of the two they are.
+    let (code, _, said) = seconds(&timed("t", |k| format!("{:02}:00", 20 * k)), "t");
+    assert!(code == 1 && said.contains("write hh:mm:ss"), "{said}");
     let units = |below: &str, more: &[&str]| import(&under(&format!("load,sig\n{below}"), &plain()), more);
     let (code, said, _) = units("kN,mV", &["--stimulus-unit", "N"]);
     assert!(code == 1 && said.contains("load*1000"), "{said}");
@@ -198,4 +203,197 @@ fn a_column_of_uncertainties_is_no_covariate() {
     assert!(code == 0 && said.contains("u_load looks like an uncertainty"), "{said}");
     let (_, said, _) = import(&table.replace("u_load", "humidity"), &[]);
     assert!(said.contains("--covariate") && !said.contains("uncertainty"), "control: {said}");
+}
+
+#[test]
+fn a_second_table_is_named_and_never_mixed_in() {
+    let rows = plain();
+    let table = |between: &str, rest: &str| under("load,sig", &rows) + between + rest;
+    for (rest, says) in [
+        ("temp,offset\n15,0.0501\n20,0.0502\n", "line 11 (\"temp, offset\"): its 2 line(s)"),
+        ("temp,zero,note\nC,mV,\n15,0.05,7\n", "line 11 (\"temp, zero, note\"): its 2 line(s)"),
+    ] {
+        let (code, said, held) = import(&table("\n", rest), &[]);
+        assert_eq!((code, held), (3, points(&[])), "{said}");
+        assert!(said.contains(says), "{said}");
+    }
+    // Without a line between them it may be a remark: it is asked.
+    let (code, said, _) = import(&table("", "temp,offset\n15,0.0501\n"), &[]);
+    assert!(code == 1 && said.contains("line 10") && said.contains("begin it with #"), "{said}");
+    // The first table goes on below its own header.
+    let half =
+        format!("load,sig\n{}\ntemp,zero\n15,0.05\n\nload,sig\n{}", rows[..4].concat(), rows[4..].concat());
+    let (code, said, held) = import(&half, &[]);
+    assert_eq!((code, held), (3, points(&[])), "{said}");
+    // Controls: a blank line, and a remark of one field.
+    for between in ["\n", "\n--- cycle 2 ---\n"] {
+        let table = format!("load,sig\n{}{between}{}", rows[..4].concat(), rows[4..].concat());
+        let (_, said, held) = import(&table, &[]);
+        assert!(held == points(&[]) && !said.contains("another table"), "{said}");
+    }
+}
+
+#[test]
+fn what_looks_like_a_reading_is_read_or_refused_and_not_passed_over() {
+    let negative =
+        |form: fn(u32) -> String| under("load,sig", &lines(|_, x, sig| format!("{},{sig}", form(x))));
+    let below = |x: u32| if x == 0 { "0".to_owned() } else { format!("-{x}") };
+    let wanted = import(&negative(|x| if x == 0 { "0".to_owned() } else { format!("-{x}") }), &[]).2;
+    assert!(wanted[1].starts_with(&below(1000)), "{wanted:?}");
+    for form in [(|x| if x == 0 { "0".to_owned() } else { format!("({x})") }) as fn(u32) -> String, |x| {
+        if x == 0 { "0".to_owned() } else { format!("{x}-") }
+    }] {
+        let (code, said, held) = import(&negative(form), &[]);
+        assert_eq!((code, &held), (0, &wanted), "{said}");
+        assert!(said.contains("1000") && said.contains("negative numbers (6 cells)"), "{said}");
+    }
+    // A form numbers its columns; a note in parentheses is text.
+    let (code, said, held) = import(&under("load,sig\n(1),(2)", &plain()), &[]);
+    assert!(code == 0 && held == points(&[]) && !said.contains("negative"), "{said}");
+    let (code, said, _) = import(&under("load,sig", &plain()).replace("1000,", "(1000 N),"), &[]);
+    assert!(code == 1 && said.contains("line 3") && said.contains("(1000 N)"), "{said}");
+    // Units in the cells.
+    let units =
+        under("load;sig", &lines(|k, x, sig| format!("{x}{};{sig}", if k % 2 == 1 { " N" } else { "" })));
+    let (code, said, _) = import(&units, &[]);
+    assert!(code == 1 && said.contains("1000 N"), "{said}");
+}
+
+#[test]
+fn a_column_without_a_name_is_called_by_its_place() {
+    let head = |head: &str| under(head, &lines(|k, x, sig| format!("{x},{}.5,{sig}", 20 + k)));
+    let (code, said, held) = import(&head("load,,sig"), &["--temperature", "column 2"]);
+    assert!(code == 0 && held[0] == "0,0.1003,20.5", "{held:?} {said}");
+    let (_, said, _) = import(&head("load,,sig"), &[]);
+    assert!(said.contains("columns not imported: column 2"), "{said}");
+    // At the end, and none of them holds anything.
+    let tail = under("load,sig,,", &lines(|k, x, sig| format!("{x},{sig},{}.5,", 20 + k)));
+    let (_, said, held) = import(&tail, &["--temperature", "column 3"]);
+    assert_eq!(held[7], "3000,1.3004,27.5", "{said}");
+    let (code, said, held) = import(&under(",load,,sig,", &lines(|_, x, sig| format!(",{x},,{sig},"))), &[]);
+    assert!(code == 0 && held == points(&[]) && !said.contains("not imported"), "{said}");
+    let (code, said, _) = import(&under("load,sig", &plain()), &["--temperature", "column 3"]);
+    assert!(code == 1 && said.contains("a column column 3") | said.contains("column 3"), "control: {said}");
+}
+
+#[test]
+fn date_and_clock_in_two_columns_are_one_time() {
+    let two = |date: fn(usize) -> String, clock: fn(usize) -> String| {
+        under("date,clock,load,sig", &lines(|k, x, sig| format!("{},{},{x},{sig}", date(k), clock(k))))
+    };
+    let iso = |k: usize| format!("2026-03-{}", 11 + k / 4);
+    let german = |k: usize| format!("{}.03.2026", 11 + k / 4);
+    for (table, asked) in [
+        (two(iso, |k| format!("09:{:02}:00", k % 4)), "clock"),
+        (two(iso, |k| format!("09:{:02}:00", k % 4)), "date"),
+        (two(german, |k| format!("9:{:02}", k % 4)), "clock"),
+        (two(german, |k| format!("9:{:02} AM", k % 4)), "clock"),
+    ] {
+        let (code, said, held) = import(&table, &["--time", asked]);
+        let last = held[7].rsplit(',').next().unwrap().to_owned();
+        assert_eq!((code, last.as_str()), (0, "86580"), "{said}");
+        assert!(said.contains("date") && said.contains("clock") && !said.contains("not imported"), "{said}");
+    }
+    // Control: a clock alone, and one that is asked for as a number.
+    let alone = under("clock,load,sig", &lines(|k, x, sig| format!("09:0{k}:00,{x},{sig}")));
+    let (_, said, held) = import(&alone, &["--time", "clock"]);
+    assert!(held[7].ends_with(",420") && !said.contains(" with "), "{said}");
+}
+
+#[test]
+fn a_unit_in_a_name_is_compared_in_every_form() {
+    let named = |name: &str, more: &[&str]| {
+        let options = [&["--stimulus", name, "--response", "sig"], more].concat();
+        import(&under(&format!("{name},sig"), &plain()), &options)
+    };
+    for name in ["F / kN", "F in kN", "F [kN]", "F (kN)", "F_kN", "F kN"] {
+        let (code, said, _) = named(name, &["--stimulus-unit", "N"]);
+        assert!(code == 1 && said.contains(&format!("--stimulus '{name}*1000'")), "{name}: {said}");
+        let (code, said, _) = named(name, &["--stimulus-unit", "kN"]);
+        assert!(code == 0 && !said.contains("though"), "control {name}: {said}");
+        let (_, said, _) = named(name, &[]);
+        assert!(said.contains("kN"), "{name}: {said}");
+    }
+    for name in ["F / kN", "F in kN", "F [kN]", "F (kN)"] {
+        let (code, said, _) = named(name, &["--stimulus-unit", "V"]);
+        assert!(code == 1 && said.contains("another unit"), "{name}: {said}");
+    }
+    // In a line below another one, and in a column of its own: one in every row.
+    let (code, said, _) =
+        import(&under("load,sig\n(applied),(bridge)\nkN,mV", &plain()), &["--stimulus-unit", "N"]);
+    assert!(code == 1 && said.contains("load*1000"), "{said}");
+    let beside = |unit: fn(usize) -> &'static str| {
+        let rows = lines(|k, x, sig| format!("{x},{sig},{}", unit(k)));
+        import(&under("load,sig,Unit", &rows), &["--response-unit", "V"])
+    };
+    let (code, said, _) = beside(|k| if k % 4 == 0 { "mV" } else { "V" });
+    assert!(code == 1 && said.contains("line 3") && said.contains("found mV and V"), "{said}");
+    let (code, said, _) = beside(|_| "mV");
+    assert!(code == 1 && said.contains("sig*0.001"), "{said}");
+    assert_eq!(beside(|_| "V").0, 0, "control");
+    // What only may be a unit is said.
+    let (code, said, _) = named("F_kN", &["--stimulus-unit", "V"]);
+    assert!(code == 0 && said.contains("taken as V, though its name ends with kN"), "{said}");
+    let (_, said, _) = named("position in frame", &["--stimulus-unit", "mm"]);
+    assert!(!said.contains("though"), "{said}");
+}
+
+/// Runs `verify` of a session made of the readings, with a later table held out, and `predict` of that table.
+fn held_out(header: &str, later: &str, import: &[&str]) -> (i32, String, i32, String) {
+    let place = tempfile::tempdir().unwrap();
+    let wobble = |k: usize| ((k as f64 * 12.9898).sin() * 43758.5453).rem_euclid(1.0) - 0.5;
+    let rows = |seed: usize, day: usize| -> String {
+        let row = |k: usize| {
+            let x = 0.5 * (k % 11) as f64;
+            let y = 0.3 + 0.02 * x + 1e-3 * wobble(k + seed);
+            format!("{day:02}.03.2026;10:{k:02};{x:.1};{y:.5}\n")
+                .replace('.', ",")
+                .replace(",03,2026", ".03.2026")
+        };
+        (0..33).map(row).collect()
+    };
+    fs::write(place.path().join("a.csv"), format!("{header}\n{}", rows(0, 11))).unwrap();
+    fs::write(place.path().join("h.csv"), format!("{later}\n{}", rows(100, 12))).unwrap();
+    let start = ["import", "a.csv", "--kind", "transducer", "--model", "linear", "--out", "s"];
+    let run = |arguments: &[&str]| {
+        let output = wcal(place.path(), arguments);
+        let said = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap()).concat();
+        (output.status.code().unwrap(), said)
+    };
+    let (code, said) = run(&[&start, import].concat());
+    assert_eq!(code, 0, "{said}");
+    let (verified, said) = run(&["verify", "s", "--holdout", "h.csv", "--out", "v"]);
+    let _ = run(&["verify", "s", "--out", "w"]);
+    let (predicted, more) =
+        run(&["predict", "h.csv", "--calibration", "w/calibration.json", "--out", "p.csv"]);
+    (verified, said, predicted, more)
+}
+
+#[test]
+fn a_holdout_has_the_columns_of_the_table_that_was_imported() {
+    let asked = ["--stimulus", "Kraft", "--response", "Signal", "--time", "Uhrzeit"];
+    let head = "Datum;Uhrzeit;Kraft;Signal";
+    let (verified, said, predicted, more) = held_out(head, head, &asked);
+    assert!(verified == 0 && said.contains("stimulus from Kraft"), "{said}");
+    assert!(said.contains("t_s from Uhrzeit since 11.03.2026 10:00"), "{said}");
+    assert_eq!(predicted, 0, "{more}");
+    // The unit that a later table states is compared.
+    let (verified, said, predicted, more) =
+        held_out(head, &format!("{head}\n;;N;kV"), &[&asked[..], &["--response-unit", "V"]].concat());
+    assert!(verified == 1 && said.contains("expected V, as in the session, found kV"), "{said}");
+    assert!(predicted == 1 && more.contains("found kV"), "{more}");
+    let same = format!("{head}\n;;N;V");
+    let (verified, said, predicted, _) =
+        held_out(head, &same, &[&asked[..], &["--response-unit", "V"]].concat());
+    assert_eq!((verified, predicted), (0, 0), "control: {said}");
+    // A table of the session's names needs no numbers and roles.
+    let own = "Datum;t;stimulus;response";
+    let (verified, said, _, _) = held_out(own, own, &["--stimulus", "stimulus", "--response", "response"]);
+    assert!(verified == 0 && said.contains("all rows held out"), "{said}");
+    // Control: another table, and one without a needed column.
+    let (verified, said, predicted, _) = held_out(head, "Datum;Uhrzeit;x;y", &asked);
+    assert!(verified == 1 && predicted == 1 && said.contains("expected"), "{said}");
+    let (verified, said, predicted, _) = held_out(head, "Datum;Uhrzeit;Kraft;y", &asked);
+    assert!(verified == 1 && predicted == 0, "{said}");
+    assert!(said.contains("a column Signal"), "{said}");
 }

@@ -1,8 +1,8 @@
 //! Held-out errors and the noise floor: table and picture.
 
 use crate::input::{IndexEntry, MOMENT_NAMES, ReportInput};
-use crate::markup::{Table, TableCell, escape};
-use crate::number::{NOT_AVAILABLE, join_unit, number, percent, with_interval};
+use crate::markup::{Table, TableCell, escape, with_sign};
+use crate::number::{NOT_AVAILABLE, join_unit, number, p_value, percent, with_interval};
 use crate::plot::{Axis, Layer, Marker, Plot, svg};
 use wcal_core::verify_document::{
     ContactComparison, GrooveTracking, HeldOutError, HoldoutJudgement, HoldoutOutcome, NoiseFloor,
@@ -264,7 +264,7 @@ fn witnesses(tests: &[WitnessTest]) -> String {
             TableCell::Number(format!("{} {}", number(t.magnitude), t.unit)),
             TableCell::Number(format!("{:.1}", t.statistic)),
             TableCell::Number(format!("{:.0}", t.dof)),
-            TableCell::Number(format!("{:.1e}", t.p)),
+            TableCell::Number(p_value(t.p)),
             TableCell::Text(if t.refuted { "refuted" } else { "stands" }.into()),
         ]);
     }
@@ -273,7 +273,8 @@ fn witnesses(tests: &[WitnessTest]) -> String {
 
 /// What the sealed readings say of what was decided without them.
 fn holdout(judged: &HoldoutJudgement) -> String {
-    let p = judged.p.map_or_else(String::new, |p| format!(" (prediction F test, p = {p:.2e})"));
+    let p =
+        judged.p.map_or_else(String::new, |p| format!(" (prediction F test, p {})", with_sign(&p_value(p))));
     let later = match judged.look {
         0 | 1 => String::new(),
         n => format!(" It is look {n} at these files: its level is smaller than that of the first."),

@@ -3,7 +3,7 @@
 use super::parts::{absent, joined};
 use super::residuals;
 use crate::input::ReportInput;
-use crate::markup::{Table, TableCell, escape, paragraph};
+use crate::markup::{Table, TableCell, escape, paragraph, with_sign};
 use crate::number::{join_unit, number, p_value, percent, quantity, split_unit, unit_text, with_interval};
 use wcal_core::verify_document::{NamedEffect, NextMeasurement, Verdict};
 
@@ -80,11 +80,6 @@ fn one_effect(effect: &NamedEffect) -> String {
         );
     }
     out + "</p></div>"
-}
-
-/// `= 0.02` or `< 0.0001`, ready for HTML.
-fn with_sign(p: &str) -> String {
-    if p.starts_with('<') { escape(p) } else { format!("= {}", escape(p)) }
 }
 
 /// What each accepted effect is worth.

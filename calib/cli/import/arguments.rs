@@ -91,8 +91,8 @@ pub struct ImportArgs {
     /// Log with t_s and base_x_mm .. or object_x_mm ..
     #[arg(help_heading = "Sweep", long, value_name = "LOG", required_if_eq("kind", "sweep"))]
     pub motion: Option<PathBuf>,
-    /// Mesh of the object
-    #[arg(help_heading = "Sweep", long, value_name = "STL")]
+    /// Mesh of the object: STL, OBJ or PLY
+    #[arg(help_heading = "Sweep", long, value_name = "MESH")]
     pub object: Option<PathBuf>,
     /// Place of the mesh in the frame of the base's poses
     ///

@@ -242,6 +242,15 @@ impl Plan {
                 _ => (name, Source::Column { index, factor }),
             });
         }
+        for (set, read) in [("stimulus", "response"), ("commanded_mm", "measured_mm")] {
+            let [set_in, read_in] = [set, read].map(|name| plan.source_of(table, name));
+            ensure!(
+                set_in.is_none() || set_in != read_in,
+                "{}: expected one column of {set} and another of {read}, found {} for both",
+                table.file,
+                set_in.unwrap_or_default()
+            );
+        }
         let signals = [
             ("--stimulus", &args.stimulus_unit, &args.stimulus),
             ("--response", &args.response_unit, &args.response),

@@ -24,7 +24,7 @@ pub enum TraceError {
     NoLedger(String),
     /// The explanation to be accepted is none that the data leave open.
     #[error(
-        "accepting {asked}: expected one of the explanations that the data do not reject ({survivors}), found another"
+        "accepting {asked}: expected one of the explanations that the data do not reject ({survivors}), found another; without --accept the data decide"
     )]
     NotASurvivor {
         /// What was asked for.

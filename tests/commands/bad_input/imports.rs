@@ -229,3 +229,18 @@ fn a_whisker_table_is_imported_with_its_description() {
     judge(&wcal(place.path(), &arguments), 0, &["3 rows"]).unwrap();
     judge(&wcal(place.path(), &["verify", "new", "--check"]), 3, &["t_s is present"]).unwrap();
 }
+
+/// What was set cannot be what was read.
+#[test]
+fn one_column_for_both_signals_is_named() {
+    let place = tempfile::tempdir().unwrap();
+    fs::write(place.path().join("t.csv"), "p,u\n0,0.1\n1,0.2\n2,0.31\n3,0.4\n4,0.5\n").unwrap();
+    let import = |response: &str| {
+        let words = "import t.csv --kind transducer --model linear --stimulus p --response";
+        let words: Vec<&str> = words.split(' ').chain([response, "--out", "s", "--force"]).collect();
+        wcal(place.path(), &words)
+    };
+    judge(&import("p"), 1, &["t.csv", "stimulus", "response", "found p for both"]).unwrap();
+    // Control.
+    judge(&import("u"), 0, &["5 rows"]).unwrap();
+}

@@ -5,6 +5,7 @@ use super::frame::{Declared, ScalarRow};
 use crate::method::settings::{means, settings};
 use wcal_core::order_statistics::median;
 use wcal_core::repeats::decimal_step;
+use wcal_core::text::number;
 
 /// What the law of the other settings goes on by beyond the limit, in resolvable steps: a coarse gauge repeats itself, too.
 const BEYOND_STEPS: f64 = 6.0;
@@ -27,7 +28,7 @@ impl RangeLimit {
     pub fn sentence(&self, unit: &str) -> String {
         let points: Vec<String> = self.origins.iter().map(|origin| origin.2.to_string()).collect();
         let unit = if unit == "1" { "" } else { unit };
-        let [from, last] = self.stimuli;
+        let [from, last] = self.stimuli.map(|stimulus| number(stimulus, 10));
         format!(
             "{} readings (points {}) stand at a limit of the read-out, {}, from the stimulus {from} on: they are no measurement and in no fit; the \
              calibration ends at {last}.",

@@ -50,13 +50,18 @@ impl MinPDistribution {
     pub fn simulate(signatures: &[&Signature], dof: f64, options: &Options) -> Self {
         let span = JointSpan::of(signatures.iter().flat_map(|a| &a.directions), dof.max(0.0) as usize);
         let rank = span.rank();
-        let starts: Vec<usize> = signatures
-            .iter()
-            .scan(0, |at, a| {
-                *at += a.dimension();
-                Some(*at - a.dimension())
-            })
-            .collect();
+        // Of signatures of one kind the largest gain has the smallest p: the tail, which is dear to compute, is computed for that one.
+        let mut kinds: Vec<&Signature> = Vec::new();
+        let mut places: Vec<(usize, usize, usize)> = Vec::with_capacity(signatures.len());
+        for &s in signatures {
+            let same = |k: &&Signature| (k.dimension(), k.one_sided) == (s.dimension(), s.one_sided);
+            let kind = kinds.iter().position(same).unwrap_or(kinds.len());
+            if kind == kinds.len() {
+                kinds.push(s);
+            }
+            let from = places.last().map_or(0, |(from, dimension, _)| from + dimension);
+            places.push((from, s.dimension(), kind));
+        }
         // Signatures may span everything that a few readings leave.
         let rest = (dof - rank as f64).max(0.0);
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(options.seed);
@@ -95,20 +100,22 @@ impl MinPDistribution {
             };
             minima.extend((0..count).map(|k| {
                 let (draw, ssr) = (along.column(k), ssr[k]);
-                let mut best: f64 = 1.0;
-                for (signature, &at) in signatures.iter().zip(&starts) {
+                let mut gains = vec![-1.0_f64; kinds.len()];
+                for &(from, dimension, kind) in &places {
                     // The first direction of a one-sided law is its signature.
-                    if signature.one_sided && draw[at] <= 0.0 {
+                    if kinds[kind].one_sided && draw[from] <= 0.0 {
                         continue;
                     }
-                    let gain = draw.rows(at, signature.dimension()).norm_squared();
-                    // The tail is dear to compute: skip what cannot be small (chi-squared below its mean and two deviations), where there are
-                    // readings enough to say so.
+                    gains[kind] = gains[kind].max(draw.rows(from, dimension).norm_squared());
+                }
+                let mut best: f64 = 1.0;
+                for (signature, gain) in kinds.iter().zip(gains) {
+                    // What cannot be small (chi-squared below its mean and two deviations) is skipped, where there are readings enough to say so.
                     let d = signature.dimension() as f64;
-                    if dof > 10.0 && gain * dof / ssr < (2.0 * d).min(d + 2.0 * (2.0 * d).sqrt()) {
-                        continue;
+                    let cannot = dof > 10.0 && gain * dof / ssr < (2.0 * d).min(d + 2.0 * (2.0 * d).sqrt());
+                    if gain >= 0.0 && !cannot {
+                        best = best.min(signature_p(signature, gain, ssr, dof));
                     }
-                    best = best.min(signature_p(signature, gain, ssr, dof));
                 }
                 best
             }));

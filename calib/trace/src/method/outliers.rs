@@ -14,6 +14,7 @@ use crate::measurement_model::MeasurementModel;
 use nalgebra::DMatrix;
 use rand::SeedableRng;
 use rand::seq::index::sample;
+use std::cmp::Ordering;
 use wcal_core::order_statistics::median;
 
 /// More flagged readings than this share are no longer single readings.
@@ -134,6 +135,8 @@ fn are_isolated(system: &dyn MeasurementModel, all: &Weights, flagged: &[usize])
 
 /// Draws of the elemental sets.
 const DRAWS: usize = 300;
+/// Fits of a set, each to the readings that the one before holds.
+const CONCENTRATIONS: usize = 4;
 /// Share of the readings that the trimmed fit holds on to.
 const HELD: f64 = 0.75;
 /// Robust standard deviations from which a reading is gross: what anything less does to the first fit, flagging anew mends.
@@ -174,21 +177,33 @@ pub fn initial_outliers(system: &dyn MeasurementModel, weights: &Weights, seed: 
         let (b, ..) = linear(&x.select_rows(subset), &y.select_rows(subset));
         let r = &y - &x * b;
         let squares: Vec<f64> = r.row_iter().map(|r| r.norm_squared()).collect();
-        let mut order: Vec<usize> = (0..n).collect();
-        order.select_nth_unstable_by(held - 1, |&a, &b| squares[a].total_cmp(&squares[b]).then(a.cmp(&b)));
-        order.truncate(held);
-        // In the order of the table, so that sums do not depend on how they were picked.
-        order.sort_unstable();
+        let mut ranked = squares.clone();
+        let limit = *ranked.select_nth_unstable_by(held - 1, f64::total_cmp).1;
+        let mut ties = held - squares.iter().filter(|s| s.total_cmp(&limit).is_lt()).count();
+        // In the order of the table, so that sums do not depend on how they were picked; of equal ones the first.
+        let mut is_held = |square: f64| match square.total_cmp(&limit) {
+            Ordering::Equal if ties > 0 => {
+                ties -= 1;
+                true
+            }
+            by => by.is_lt(),
+        };
+        let order: Vec<usize> = (0..n).filter(|&k| is_held(squares[k])).collect();
         (order.iter().map(|&k| squares[k]).sum(), order)
     };
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed ^ 0x0175);
     let mut best: Option<(f64, Vec<usize>)> = None;
     for _ in 0..DRAWS {
         let mut subset = sample(&mut rng, n, (q + 1).min(n)).into_vec();
-        for _ in 0..3 {
-            subset = spread(&subset).1;
+        let mut cost = f64::INFINITY;
+        for _ in 0..CONCENTRATIONS {
+            let (next_cost, next) = spread(&subset);
+            let settled = next == subset;
+            (cost, subset) = (next_cost, next);
+            if settled {
+                break;
+            }
         }
-        let (cost, subset) = spread(&subset);
         if best.as_ref().is_none_or(|b| cost < b.0) {
             best = Some((cost, subset));
         }

@@ -29,7 +29,7 @@ other_half() {
 
 part half one_half & one=$!
 part rest other_half & other=$!
-part timed $tests --test live --test drivers -- keeps_time::
+part timed $tests --test live --test drivers --test contracts -- keeps_time::
 failed=$?
 wait $one || failed=1
 wait $other || failed=1

@@ -10,6 +10,7 @@
 
 mod docs;
 mod file_circles;
+mod keeps_time;
 mod layering;
 mod readme;
 mod results;

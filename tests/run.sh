@@ -24,7 +24,10 @@ part() {
 
 one_half() { nice -n 19 $tests $(printf -- '--test %s ' $half) -- --skip keeps_time::; }
 other_half() {
-  nice -n 19 $tests --lib --bins $(printf -- '--test %s ' $rest) -- --skip keeps_time:: && nice -n 19 $tests --doc
+  local failed=0
+  nice -n 19 $tests --lib --bins $(printf -- '--test %s ' $rest) -- --skip keeps_time:: || failed=1
+  nice -n 19 $tests --doc || failed=1
+  return $failed
 }
 
 part half one_half & one=$!

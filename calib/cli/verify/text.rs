@@ -6,7 +6,7 @@ use std::path::Path;
 use wcal_contact::groove_comparison::groove_sentence;
 use wcal_core::ResidualRecord;
 use wcal_core::text::{chance, readable, with_unit};
-use wcal_core::verify_document::{ContactComparison, HoldoutOutcome};
+use wcal_core::verify_document::{ContactComparison, HoldoutOutcome, WitnessTest};
 use wcal_report::ReportInput;
 use wcal_trace::scalar::ScalarData;
 use wcal_trace::verify::Assessment;
@@ -154,7 +154,9 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     if let Some(tracked) = &v.groove_tracking {
         println!("  {}", groove_sentence(tracked));
     }
-    for t in v.tests.iter().filter(|t| t.refuted || t.witness == "sweep") {
+    // That the declared model is refuted says the verdict.
+    let shown = |t: &&WitnessTest| t.witness == "sweep" || t.refuted && !t.effects.is_empty();
+    for t in v.tests.iter().filter(shown) {
         let name = if t.effects.is_empty() { "declared model".to_owned() } else { t.effects.join(" with ") };
         let refuted = if t.refuted { " REFUTED" } else { "" };
         println!(

@@ -35,7 +35,7 @@ impl Sweep<'_, '_, '_> {
     fn halt(&mut self) -> bool {
         let interrupt = self.bench.interrupt.clone();
         let _held = interrupt.hold();
-        let deadline = Deadline::whatever_happens(SAFE);
+        let deadline = Deadline::uninterruptible(SAFE);
         let mut stopped = self.bench.stage.stop().is_ok();
         for _ in 0..REACH {
             if stopped || deadline.is_over() {

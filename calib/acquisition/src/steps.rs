@@ -97,7 +97,7 @@ impl Sweep<'_, '_, '_> {
     /// Reference, stream, a safe place before the first move toward the wire, and there the mount.
     pub(crate) fn prepare(&mut self, allowed: Permission) -> Result<(), DeviceError> {
         self.reference(allowed)?;
-        let first_scan = Deadline::whatever_happens(SILENCE * 2);
+        let first_scan = Deadline::uninterruptible(SILENCE * 2);
         while lock(self.bench.monitor).device_s().is_none() {
             self.tick(POLL_STANDING)?;
             if first_scan.is_over() {

@@ -122,7 +122,7 @@ fn stream(
     done: &AtomicBool,
 ) -> Result<(), DeviceError> {
     // From scan to scan; time in which this program itself stood still is not the unit's.
-    let mut heard = Deadline::whatever_happens(SILENCE);
+    let mut heard = Deadline::uninterruptible(SILENCE);
     while !done.load(Ordering::SeqCst) {
         let readings = match interrogator.read(Duration::from_millis(100)) {
             Ok(readings) => readings,
@@ -134,7 +134,7 @@ fn stream(
             Err(e) => return Err(blame(e)),
         };
         if !readings.is_empty() {
-            heard = Deadline::whatever_happens(SILENCE);
+            heard = Deadline::uninterruptible(SILENCE);
         } else if heard.is_over() {
             let (kind, found) = (DeviceErrorKind::Timeout, format!("silence for {} s", SILENCE.as_secs()));
             return Err(blame(DeviceError::new(kind, "interrogator", "read the stream", "scans", found)));

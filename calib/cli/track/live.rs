@@ -182,7 +182,7 @@ fn unrecorded(why: &impl std::fmt::Display) -> DeviceError {
 /// Reads the interrogator into the intake.
 fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &FeedInput, done: &AtomicBool) {
     // From scan to scan; time in which this program itself stood still is not the unit's.
-    let mut heard = Deadline::whatever_happens(SILENCE);
+    let mut heard = Deadline::uninterruptible(SILENCE);
     if let Err(e) = interrogator.start() {
         return intake.fail(e);
     }
@@ -202,7 +202,7 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Feed
             }
             continue;
         }
-        heard = Deadline::whatever_happens(SILENCE);
+        heard = Deadline::uninterruptible(SILENCE);
         match intake.scans(readings) {
             Ok(true) => {}
             Ok(false) => break,

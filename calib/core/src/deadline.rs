@@ -116,7 +116,7 @@ impl Deadline {
     }
 
     /// For what must be tried whatever the user wants: to stop a stage.
-    pub fn whatever_happens(allowed: Duration) -> Self {
+    pub fn uninterruptible(allowed: Duration) -> Self {
         Self::after(allowed, &Interrupt::default())
     }
 
@@ -204,7 +204,7 @@ mod tests {
         assert!(short.is_over() && !short.slice().is_zero());
         let error = short.error("stage", "poll", "a reply", "none");
         assert_eq!(error.to_string(), "stage: poll: expected a reply within 0.0 s, found none [timeout]");
-        let stop = Deadline::whatever_happens(Duration::from_secs(3600));
+        let stop = Deadline::uninterruptible(Duration::from_secs(3600));
         interrupt.set(Signal::Terminate);
         assert!(long.is_over() && !stop.is_over());
         let error = long.error("stage", "poll", "a reply", "none");

@@ -11,14 +11,45 @@ const MINUS: [char; 2] = ['\u{2212}', '\u{2013}'];
 
 /// Words for a value that is not there, in small letters: those of programs, spreadsheets, and instruments whose input is open or beyond its
 /// range.
-const MISSING: &str = "nan|na|n/a|n.a.|null|none|nil|nd|n.d.|missing|no data|nodata|invalid|error|err|bad|fault|-|--\
-    |---|\u{2013}|\u{2014}|.|..|?|inf|infinity|ol|0l|over|overload|overrange|over range|overflow\
-    |ovf|ovld|underflow";
-
-/// Whether a word is one of those between bars.
-pub(crate) fn one_of(words: &str, word: &str) -> bool {
-    words.split('|').any(|one| one == word)
-}
+const MISSING: &[&str] = &[
+    "nan",
+    "na",
+    "n/a",
+    "n.a.",
+    "null",
+    "none",
+    "nil",
+    "nd",
+    "n.d.",
+    "missing",
+    "no data",
+    "nodata",
+    "invalid",
+    "error",
+    "err",
+    "bad",
+    "fault",
+    "-",
+    "--",
+    "---",
+    "\u{2013}",
+    "\u{2014}",
+    ".",
+    "..",
+    "?",
+    "inf",
+    "infinity",
+    "ol",
+    "0l",
+    "over",
+    "overload",
+    "overrange",
+    "over range",
+    "overflow",
+    "ovf",
+    "ovld",
+    "underflow",
+];
 
 /// What a cell holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,7 +94,11 @@ pub(crate) fn is_missing(cell: &str) -> bool {
         .is_some_and(|error| error == "na" || error.ends_with(['!', '?']) || error == "n/a");
     // A field that is too narrow for its number is filled.
     let filled = !word.is_empty() && word.chars().all(|c| matches!(c, '*' | '#'));
-    of_sheet || filled || unsigned.starts_with("1.#") || one_of(MISSING, unsigned) || one_of(MISSING, &word)
+    of_sheet
+        || filled
+        || unsigned.starts_with("1.#")
+        || MISSING.contains(&unsigned)
+        || MISSING.contains(&&*word)
 }
 
 /// Whether a cell holds a negative number as bookkeepers write it: `(300)`, or `300-`.
@@ -107,12 +142,51 @@ pub(crate) fn grouped(text: &str, marks: &[char]) -> bool {
 
 /// +1 or -1 for a word or sign of a direction.
 pub(crate) fn direction(cell: &str) -> Option<f64> {
-    const UP: &str = "+|up|rising|increasing|increase|inc|loading|forward|fwd|ascending|auf|aufw\u{e4}rts|steigend\
-        |belastung|hin|mont\u{e9}e|croissant|charge";
-    const DOWN: &str = "-|down|falling|decreasing|decrease|dec|unloading|backward|bwd|reverse|rev|descending|ab\
-        |abw\u{e4}rts|fallend|entlastung|zur\u{fc}ck|descente|d\u{e9}croissant|d\u{e9}charge";
+    const UP: &[&str] = &[
+        "+",
+        "up",
+        "rising",
+        "increasing",
+        "increase",
+        "inc",
+        "loading",
+        "forward",
+        "fwd",
+        "ascending",
+        "auf",
+        "aufw\u{e4}rts",
+        "steigend",
+        "belastung",
+        "hin",
+        "mont\u{e9}e",
+        "croissant",
+        "charge",
+    ];
+    const DOWN: &[&str] = &[
+        "-",
+        "down",
+        "falling",
+        "decreasing",
+        "decrease",
+        "dec",
+        "unloading",
+        "backward",
+        "bwd",
+        "reverse",
+        "rev",
+        "descending",
+        "ab",
+        "abw\u{e4}rts",
+        "fallend",
+        "entlastung",
+        "zur\u{fc}ck",
+        "descente",
+        "d\u{e9}croissant",
+        "d\u{e9}charge",
+    ];
     let word = cell.replace('\u{2212}', "-").to_lowercase();
-    if one_of(UP, &word) { Some(1.0) } else { one_of(DOWN, &word).then_some(-1.0) }
+    let is = |words: &[&str]| words.contains(&&*word);
+    if is(UP) { Some(1.0) } else { is(DOWN).then_some(-1.0) }
 }
 
 /// Name of a column in one line with single blanks.

@@ -1,6 +1,6 @@
 //! The form of a table of another program: where its header and its rows are, and which lines are neither.
 
-use crate::cell::{Content, content, grouped, is_accounted, name_of, one_of};
+use crate::cell::{Content, content, grouped, is_accounted, name_of};
 use crate::error::{InputError, listed, quote};
 use crate::quantity::{is_unit, written};
 use crate::separated::{Separator, records};
@@ -67,9 +67,7 @@ impl Preamble {
             remark: Some("a LabVIEW measurement file".to_owned()),
         }
     }
-}
 
-impl Preamble {
     /// Where the file says nothing of its separator and no line with commas has any of the names that are `asked` for, it is the one by which
     /// a line has most of them. Cells with a comma are decimals then, where one cannot be anything else and none has a dot.
     pub(crate) fn find_separator(&mut self, text: &str, asked: &[String], decimal_comma: bool) {
@@ -213,7 +211,7 @@ impl Form {
         let heads: Vec<bool> = (0..all.len()).map(|k| self.heads_another(&all[k..])).collect();
         let mut end = None;
         for ((line, cells), heads) in all.into_iter().zip(heads) {
-            let apart = end.replace(line).is_some_and(|end| line > end + 1);
+            let after_gap = end.replace(line).is_some_and(|end| line > end + 1);
             let text = is_text(&cells);
             if text && self.is_header(&cells) {
                 elsewhere = false;
@@ -227,7 +225,7 @@ impl Form {
             let below = || parts.last().is_some_and(|part| part.iter().any(|(_, cells)| !is_text(cells)));
             if heads && below() {
                 // Without a line between them it may be a remark, and what follows may belong to the table.
-                if !apart && cells.len() == self.columns.len() {
+                if !after_gap && cells.len() == self.columns.len() {
                     let found = format!("names in place of numbers, {}", quote(&joined(&cells)));
                     let error = InputError::new(place.file, "rows of one table", found).at(line);
                     return Err(error.hint("another table? split the file; a remark? begin it with #"));
@@ -410,10 +408,30 @@ fn begins_like_number(cell: &str) -> bool {
 
 /// Names of what is computed of a column and written below it.
 fn is_statistic(cell: &str) -> bool {
-    const NAMES: &str = "mean|average|avg|median|sum|total|min|minimum|max|maximum|std|stdev|std dev|sd\
-        |standard deviation|mittelwert|mittel|summe|stabw|standardabweichung";
+    const NAMES: &[&str] = &[
+        "mean",
+        "average",
+        "avg",
+        "median",
+        "sum",
+        "total",
+        "min",
+        "minimum",
+        "max",
+        "maximum",
+        "std",
+        "stdev",
+        "std dev",
+        "sd",
+        "standard deviation",
+        "mittelwert",
+        "mittel",
+        "summe",
+        "stabw",
+        "standardabweichung",
+    ];
     let word = cell.to_lowercase().replace('.', "");
-    one_of(NAMES, word.trim_end_matches(':').trim())
+    NAMES.contains(&word.trim_end_matches(':').trim())
 }
 
 fn is_comment(cells: &StringRecord) -> bool {

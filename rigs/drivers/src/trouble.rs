@@ -118,12 +118,12 @@ mod tests {
     use std::time::Duration;
 
     fn said(path: &str, kind: ErrorKind) -> String {
-        let deadline = Deadline::whatever_happens(Duration::from_secs(1));
+        let deadline = Deadline::uninterruptible(Duration::from_secs(1));
         of_serial_port("stage", path, &kind.into(), &deadline).to_string()
     }
 
     fn said_of_address(address: &str, kind: ErrorKind) -> String {
-        let deadline = Deadline::whatever_happens(Duration::from_secs(1));
+        let deadline = Deadline::uninterruptible(Duration::from_secs(1));
         of_connection("stage", address, &kind.into(), &deadline).to_string()
     }
 

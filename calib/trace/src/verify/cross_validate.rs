@@ -161,11 +161,11 @@ fn drop_unsupported<M: SessionModel>(
     let needed = Cell::new(false);
     let family = &explained.found.first_test.family;
     let weakest = |kept: &Hypothesis, dropped: Vec<(usize, Hypothesis)>| {
-        let judged = dropped.into_iter().map(|d| (d.1.removal_p(&kept.fit, family), d));
+        let tested = dropped.into_iter().map(|d| (d.1.removal_p(&kept.fit, family), d));
         let none = |(p, (term, _)): &(f64, (usize, Hypothesis))| {
             *p >= CATALOGUE || amplitudes_hold_zero(model, &kept.fit, *term)
         };
-        let (p, dropped) = judged.filter(none).max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let (p, dropped) = tested.filter(none).max_by(|a, b| a.0.total_cmp(&b.0))?;
         needed.set(needed.get() || p < CATALOGUE);
         Some(dropped)
     };

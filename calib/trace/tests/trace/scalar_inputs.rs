@@ -407,17 +407,17 @@ fn what_runs_with_a_recorded_column_is_never_noise_without_a_word() {
         };
         run(TransducerModel::Linear, &["ambient"], (0..70).map(row).collect())
     };
-    let told = |v: &ScalarVerification| {
+    let is_named = |v: &ScalarVerification| {
         names(v).contains(&"cross-axis") || v.document.cautions.iter().any(|c| c.contains("follow ambient"))
     };
     let (mut silent, mut by_name, mut false_words) = (0, 0, 0);
     for seed in 0..8 {
         let v = session(seed, 0.01);
         let trusted = matches!(v.document.verdict, Verdict::Adequate | Verdict::Effect);
-        silent += usize::from(trusted && !told(&v) && v.document.cautions.is_empty());
-        by_name += usize::from(told(&v));
+        silent += usize::from(trusted && !is_named(&v) && v.document.cautions.is_empty());
+        by_name += usize::from(is_named(&v));
         // Control: a column that acts on nothing.
-        false_words += usize::from(told(&session(seed, 0.0)));
+        false_words += usize::from(is_named(&session(seed, 0.0)));
     }
     println!("silent {silent}, by name {by_name}, without cause {false_words} of 8");
     assert!(silent == 0 && by_name >= 2 && false_words == 0, "{silent} {by_name} {false_words}");

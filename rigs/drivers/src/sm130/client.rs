@@ -156,9 +156,7 @@ impl Interrogator for Sm130 {
         }
         self.send("#SET_STREAMING_DATA 0")?;
         // What still streams does not prolong the wait; a user who wants an end gets it.
-        self.item("stop streaming", &Deadline::whatever_happens(REPLY), |i| {
-            matches!(i, StreamItem::Stopped)
-        })?;
+        self.item("stop streaming", &Deadline::uninterruptible(REPLY), |i| matches!(i, StreamItem::Stopped))?;
         self.decoder.set_streaming(false);
         Ok(())
     }

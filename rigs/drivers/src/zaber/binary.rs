@@ -179,8 +179,8 @@ impl Stage for ZaberBinary {
         self.homing = false;
         (self.commanded_mm, self.target_steps) = (None, None);
         let mut line = self.line.borrow_mut();
-        line.send(command::STOP, 0, &Deadline::whatever_happens(REPLY))?;
-        let deadline = Deadline::whatever_happens(HALT);
+        line.send(command::STOP, 0, &Deadline::uninterruptible(REPLY))?;
+        let deadline = Deadline::uninterruptible(HALT);
         let status = command::RETURN_STATUS;
         while line.repeatedly(status, 0, status, &Interrupt::default())? != 0 {
             if deadline.is_over() {

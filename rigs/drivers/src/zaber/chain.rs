@@ -1,7 +1,6 @@
 //! A chain of units on one port: checked replies, message ids, checksums, and repeated questions.
 
-use super::wire::{Connect, Port, Wire, not_opened};
-use crate::link::CONNECT;
+use super::wire::{Connect, Port, Wire};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt};
@@ -60,7 +59,7 @@ impl Drop for Chain {
             }
             // Nobody is left to tell; a unit that does not hear it keeps the sweep's speed.
             let set = format!("set maxspeed {data}");
-            let sent = self.once((device, axis), &set, &Deadline::whatever_happens(REPLY));
+            let sent = self.once((device, axis), &set, &Deadline::uninterruptible(REPLY));
             self.failed = sent.is_err();
         }
     }
@@ -157,10 +156,7 @@ impl Chain {
     /// As [`Self::open`].
     pub fn reopen(&mut self) -> Result<(), DeviceError> {
         self.close();
-        let deadline = Deadline::after(CONNECT, &self.interrupt);
-        let link = (self.connect)(&self.place, &deadline)
-            .map_err(|e| not_opened(&self.name, &self.place, &e, &deadline))?;
-        let wire = Wire::over(link, self.name.clone(), deadline);
+        let wire = Wire::open(&self.connect, &self.place, &self.name, &self.interrupt)?;
         let mut port = AsciiPort::open_general_options().checksums(true).message_ids(true).open(wire);
         // Alerts may come at any time; state is always asked for, so they carry nothing new.
         port.set_unexpected_alert_handler(|_| Ok(()));

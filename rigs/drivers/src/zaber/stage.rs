@@ -186,7 +186,7 @@ impl Stage for ZaberStage {
             self.chain.borrow_mut().ask_to_stop(self.address, self.axis, command).map(|answer| answer.busy)
         };
         ask("stop")?;
-        let deadline = Deadline::whatever_happens(HALT);
+        let deadline = Deadline::uninterruptible(HALT);
         while ask("")? {
             if deadline.is_over() {
                 let name = self.chain.borrow().name().to_owned();

@@ -7,7 +7,7 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::rc::Rc;
 use std::time::Duration;
-use wcal_core::deadline::Deadline;
+use wcal_core::deadline::{Deadline, Interrupt};
 use wcal_core::device::DeviceError;
 use zproto::backend::Backend;
 
@@ -132,6 +132,21 @@ pub struct Wire {
 }
 
 impl Wire {
+    /// Opens the link of a unit that messages call `name`.
+    ///
+    /// # Errors
+    /// `Disconnected`, `Timeout` or `Interrupted`, in words that say what to do.
+    pub(crate) fn open(
+        connect: &Connect,
+        place: &Port,
+        name: &str,
+        interrupt: &Interrupt,
+    ) -> Result<Self, DeviceError> {
+        let deadline = Deadline::after(link::CONNECT, interrupt);
+        let link = connect(place, &deadline).map_err(|e| not_opened(name, place, &e, &deadline))?;
+        Ok(Self::over(link, name.to_owned(), deadline))
+    }
+
     /// Over an open link; `name` is for messages.
     pub fn over(link: Box<dyn ByteLink>, name: String, deadline: Deadline) -> Self {
         Self { link, buffer: Vec::new(), at: 0, timeout: None, deadline, name }
@@ -151,7 +166,7 @@ impl Wire {
     pub fn drain(&mut self, quiet: Duration) {
         let before = (self.timeout, self.deadline.clone());
         self.timeout = Some(quiet);
-        self.deadline = Deadline::whatever_happens(DRAIN);
+        self.deadline = Deadline::uninterruptible(DRAIN);
         let mut scrap = [0_u8; 256];
         // Not an error here: the use that follows reports a broken link.
         while matches!(self.read(&mut scrap), Ok(n) if n > 0) {}
@@ -212,7 +227,7 @@ impl Backend for Wire {
 }
 
 /// Why a port was not opened, in words that say what to do.
-pub(crate) fn not_opened(device: &str, port: &Port, error: &io::Error, deadline: &Deadline) -> DeviceError {
+fn not_opened(device: &str, port: &Port, error: &io::Error, deadline: &Deadline) -> DeviceError {
     match port {
         Port::Tcp(address) => trouble::of_connection(device, address, error, deadline),
         Port::Serial(path, _) => trouble::of_serial_port(device, path, error, deadline),

@@ -1,7 +1,6 @@
 //! The line of a T-series unit: questions, replies and what is passed over, opened anew where it is lost.
 
-use crate::link::CONNECT;
-use crate::zaber::wire::{Connect, Port, Wire, not_opened};
+use crate::zaber::wire::{Connect, Port, Wire};
 use std::collections::BTreeSet;
 use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt};
@@ -49,7 +48,7 @@ impl std::fmt::Debug for BinaryLine {
 impl Drop for BinaryLine {
     fn drop(&mut self) {
         if let (Some((data, true)), false) = (self.speed, self.failed) {
-            let deadline = Deadline::whatever_happens(REPLY);
+            let deadline = Deadline::uninterruptible(REPLY);
             // Nobody is left to tell; a unit that does not hear it keeps the sweep's speed.
             let _ = self.once(command::SET_TARGET_SPEED, data, command::SET_TARGET_SPEED, &deadline);
         }
@@ -97,10 +96,7 @@ impl BinaryLine {
     /// As [`Self::open`].
     pub fn reopen(&mut self) -> Result<(), DeviceError> {
         self.close();
-        let deadline = Deadline::after(CONNECT, &self.interrupt);
-        let link = (self.connect)(&self.place, &deadline)
-            .map_err(|e| not_opened(&self.name, &self.place, &e, &deadline))?;
-        let wire = Wire::over(link, self.name.clone(), deadline);
+        let wire = Wire::open(&self.connect, &self.place, &self.name, &self.interrupt)?;
         (self.port, self.failed) = (Some(BinaryPort::open_general(wire)), false);
         Ok(())
     }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Mutex;
 use wcal_exam::orders::MIXES;
+use wcal_exam::statements::{Auditor, pooled};
 use wcal_exam::{Examiner, Goal, NoiseRow, Order, Outcome, by_noise, clopper_pearson, orders, summarise};
 use wcal_plant::Make;
 
@@ -58,6 +59,9 @@ pub struct ExamArgs {
     /// Keep sessions and results in this folder
     #[arg(long, value_name = "DIR")]
     pub keep: Option<PathBuf>,
+    /// Count how often each number that a user reads holds, in place of the mixes: `--draws` clean sessions of each noise and layout, and as many with an effect
+    #[arg(long, conflicts_with_all = ["mix", "only", "no_rivals", "follow_up", "record", "write"])]
+    pub statements: bool,
     /// Only write the sessions and truth.json
     #[arg(long, value_name = "DIR", conflicts_with_all = ["keep", "json", "record"])]
     pub write: Option<PathBuf>,
@@ -68,6 +72,9 @@ pub struct ExamArgs {
 /// # Errors
 /// Where a folder cannot be written, or this program's own place is not known.
 pub fn run(o: &ExamArgs) -> anyhow::Result<ExitCode> {
+    if o.statements {
+        return audit(o);
+    }
     let orders = orders(&o.mix, o.draws, o.seed, o.only.as_deref(), !o.no_rivals);
     if let Some(folder) = &o.write {
         return write_only(folder, &orders);
@@ -108,6 +115,39 @@ pub fn run(o: &ExamArgs) -> anyhow::Result<ExitCode> {
     }
     if let Some(path) = &o.record {
         write(path, &record(o, outcomes.len(), &table, &noises)?)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The audit of statements: one line a statement over all draws, and one a noise and layout.
+fn audit(o: &ExamArgs) -> anyhow::Result<ExitCode> {
+    let scratch = tempfile::tempdir()?;
+    let auditor = Auditor {
+        program: o.wcal.clone().unwrap_or(std::env::current_exe()?.with_file_name("wcal")),
+        folder: o.keep.clone().unwrap_or_else(|| scratch.path().to_path_buf()),
+        jobs: o.jobs,
+    };
+    let rows = auditor.audit(o.draws, o.seed)?;
+    println!("statement | noise | sweeps x readings | says | holds | of | 95 %");
+    println!("---|---|---|---|---|---|---");
+    for row in pooled(&rows).iter().chain(&rows) {
+        let (k, n) = row.holds;
+        let (low, high) = clopper_pearson(k, n);
+        let [sweeps, places] = row.layout;
+        let layout = if sweeps == 0 { "all".to_owned() } else { format!("{sweeps} x {places}") };
+        println!(
+            "{} | {} | {layout} | {} | {:.3} | {n} | [{low:.3}, {high:.3}]",
+            row.statement,
+            row.noise,
+            row.says,
+            k as f64 / n as f64
+        );
+    }
+    if let Some(path) = &o.json {
+        write(
+            path,
+            &serde_json::json!({"format": "wcal-statements/1", "simulated": true, "draws": o.draws, "seed": o.seed, "rows": rows}),
+        )?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -5,6 +5,7 @@ pub mod orders;
 mod pictures;
 mod run;
 mod score;
+pub mod statements;
 mod summary;
 
 pub use orders::{Order, orders};

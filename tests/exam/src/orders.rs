@@ -12,7 +12,7 @@ use wcal_plant::case::{Case, CaseKind, Make, PictureSetup, Request};
 use wcal_plant::effects::Kind;
 use wcal_plant::layout::Design;
 use wcal_plant::noise::Noise;
-use wcal_plant::scalar::{self, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest};
+use wcal_plant::scalar::{self, EffectSize, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest};
 use wcal_plant::session::{draw_looked, draw_under};
 use wcal_plant::shapes::Fault;
 
@@ -263,7 +263,9 @@ fn scalar_order(single: bool, turn: usize, seed: u64, rng: &mut impl Rng) -> Sca
         axis: (turn / kinds) % 2 == 1,
         noise: ScalarNoise::ALL[turn % kinds],
         effect: single.then(|| ScalarEffect::ALL[rng.random_range(0..ScalarEffect::ALL.len())]),
-        target_sigma: [8.0, 12.0, 20.0, 40.0][rng.random_range(0..4_usize)],
+        size: EffectSize::Noises([8.0, 12.0, 20.0, 40.0][rng.random_range(0..4_usize)]),
+        layout: None,
+        noise_seed: None,
     }
 }
 

@@ -25,7 +25,7 @@ pub use case::{Case, CaseKind, Make, Request, Truth};
 pub use effects::{Effect, Kind};
 pub use layout::Design;
 pub use noise::Noise;
-pub use scalar::{ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest};
+pub use scalar::{EffectSize, Layout, ScalarCase, ScalarEffect, ScalarNoise, ScalarRequest};
 pub use session::{draw, draw_under};
 
 /// What can go wrong while drawing or writing a session.

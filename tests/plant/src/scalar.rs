@@ -1,6 +1,7 @@
 //! Random sessions of the scalar kinds: sweeps along a line, with noise that is white, heavy-tailed or correlated from reading
 //! to reading, as nulls and with one effect.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -27,10 +28,12 @@ pub enum ScalarNoise {
     Correlated,
     /// About 0.9.
     StronglyCorrelated,
+    /// White and normal, read in steps of one standard deviation (not among [`Self::ALL`]).
+    Rounded,
 }
 
 impl ScalarNoise {
-    /// Every kind.
+    /// Every kind that the exam's mixes draw.
     pub const ALL: [Self; 5] =
         [Self::White, Self::StudentT, Self::WeaklyCorrelated, Self::Correlated, Self::StronglyCorrelated];
 
@@ -42,12 +45,13 @@ impl ScalarNoise {
             Self::WeaklyCorrelated => "line rho 0.3",
             Self::Correlated => "line rho 0.6",
             Self::StronglyCorrelated => "line rho 0.9",
+            Self::Rounded => "line rounded",
         }
     }
 
     fn about(self) -> f64 {
         match self {
-            Self::White | Self::StudentT => 0.0,
+            Self::White | Self::StudentT | Self::Rounded => 0.0,
             Self::WeaklyCorrelated => 0.3,
             Self::Correlated => 0.6,
             Self::StronglyCorrelated => 0.9,
@@ -98,8 +102,30 @@ pub struct ScalarRequest {
     pub noise: ScalarNoise,
     /// Effect; none for a null.
     pub effect: Option<ScalarEffect>,
-    /// Wanted size in noises, against the true covariance.
-    pub target_sigma: f64,
+    /// Its size.
+    pub size: EffectSize,
+    /// Sweeps and readings; drawn where none is given.
+    pub layout: Option<Layout>,
+    /// Another recording of the same instrument: the noise alone is drawn anew, from this seed.
+    pub noise_seed: Option<u64>,
+}
+
+/// Size of an effect.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum EffectSize {
+    /// In noises, against the true covariance.
+    Noises(f64),
+    /// First parameter of the effect as verify.json states it, in its unit.
+    Parameter(f64),
+}
+
+/// Sweeps up and down in turn over places at equal distances.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Layout {
+    /// Sweeps of points.csv.
+    pub sweeps: usize,
+    /// Readings of a sweep, at least two.
+    pub places: usize,
 }
 
 /// One reading.
@@ -142,6 +168,8 @@ pub struct ScalarTruth {
     pub tails_dof: Option<f64>,
     /// Amplitude of the effect.
     pub amplitude: f64,
+    /// Parameters of the effect by their names in verify.json, in its units.
+    pub parameters: BTreeMap<String, f64>,
     /// Size in noises of what the declared model cannot absorb.
     pub projected_size_in_noises: f64,
     /// Seed.
@@ -157,9 +185,20 @@ pub struct ScalarCase {
     pub readings: Vec<ScalarReading>,
     /// Answer.
     pub truth: ScalarTruth,
+    line: Line,
+    signature: Option<Signature>,
+}
+
+/// The clean response without effect: zero, slope, and the largest stimulus.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Line {
+    zero: f64,
+    slope: f64,
+    range: f64,
 }
 
 /// What an effect adds to every clean row for an amplitude.
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Signature {
     effect: ScalarEffect,
     axis: bool,
@@ -195,6 +234,32 @@ impl Signature {
     }
 }
 
+impl Signature {
+    /// Names of the parameters in verify.json, and their values for an amplitude of one. A place has no size.
+    fn parameters(&self, amplitude: f64) -> BTreeMap<String, f64> {
+        let of = |name: &str, value: f64| BTreeMap::from([(name.to_owned(), value)]);
+        match self.effect {
+            ScalarEffect::Quadratic => of("coefficient", 4.0 * amplitude / self.range.powi(2)),
+            ScalarEffect::Backlash => of("reversal_value", amplitude),
+            ScalarEffect::Periodic => {
+                let mut both = of("amplitude", amplitude);
+                both.insert("period".into(), self.range / self.shape[0]);
+                both
+            }
+            ScalarEffect::Step => of("height", amplitude),
+            ScalarEffect::Drift => of("rate", amplitude / self.end_s),
+        }
+    }
+
+    /// Amplitude for a value of the parameter that scales with it.
+    fn amplitude(&self, parameter: f64) -> f64 {
+        let one = self.parameters(1.0);
+        let name = if self.effect == ScalarEffect::Periodic { "amplitude" } else { "" };
+        let of_one = one.get(name).or_else(|| one.values().next()).copied().unwrap_or(1.0);
+        parameter / of_one
+    }
+}
+
 /// Size in noises of a signature on the rows of points.csv: white after the correlation is taken out, less what the
 /// declared model (a line; for an axis a constant) takes up.
 fn size(signature: &[f64], rows: &[ScalarReading], axis: bool, rho: f64, noise_sd: f64) -> f64 {
@@ -220,12 +285,13 @@ pub const READING_S: f64 = 2.0;
 const PAUSE_S: f64 = 10.0;
 
 /// Sweeps up and down in turn, every other session with one more as a holdout.
-fn sweeps(rng: &mut impl Rng, range: f64) -> Vec<ScalarReading> {
-    let (count, length) = if rng.random_bool(0.5) {
+fn sweeps(rng: &mut impl Rng, range: f64, layout: Option<Layout>) -> Vec<ScalarReading> {
+    let drawn = if rng.random_bool(0.5) {
         (5, 40)
     } else {
         (rng.random_range(4..=7_usize), rng.random_range(28..=48_usize))
     };
+    let (count, length) = layout.map_or(drawn, |l| (l.sweeps, l.places));
     let held_out = usize::from(rng.random_bool(0.5));
     let (amplitude, period, phase) =
         (rng.random_range(0.1..1.5), rng.random_range(200.0..900.0), rng.random_range(0.0..6.0_f64));
@@ -257,7 +323,7 @@ fn sweeps(rng: &mut impl Rng, range: f64) -> Vec<ScalarReading> {
 pub fn draw(request: &ScalarRequest) -> ScalarCase {
     let mut rng = ChaCha8Rng::seed_from_u64(request.seed ^ 0x5ca1_a200);
     let range = if request.axis { rng.random_range(5.0..40.0_f64) } else { rng.random_range(2.0..50.0_f64) };
-    let mut readings = sweeps(&mut rng, range);
+    let mut readings = sweeps(&mut rng, range, request.layout);
     let slope = if request.axis { 0.0 } else { rng.random_range(0.05..2.0_f64) };
     let zero = if request.axis { rng.random_range(-5.0..5.0) } else { rng.random_range(-0.1..0.1) };
     let noise_sd = if request.axis {
@@ -265,7 +331,10 @@ pub fn draw(request: &ScalarRequest) -> ScalarCase {
     } else {
         slope * range * 10f64.powf(rng.random_range(-4.0..-2.7))
     };
-    let (noise, rho, tails_dof) = draw_noise(request.noise, &mut rng, readings.len());
+    let (mut noise, rho, tails_dof) = draw_noise(request.noise, &mut rng, readings.len());
+    if let Some(seed) = request.noise_seed {
+        noise = unit_noise(rho, tails_dof, &mut ChaCha8Rng::seed_from_u64(seed), readings.len());
+    }
 
     let end_s = readings.iter().rev().find(|r| !r.holdout).map_or(1.0, |r| r.t_s);
     let shape = match request.effect {
@@ -274,20 +343,26 @@ pub fn draw(request: &ScalarRequest) -> ScalarCase {
     };
     let mut added = vec![0.0; readings.len()];
     let (mut amplitude, mut projected) = (0.0, 0.0);
-    if let Some(effect) = request.effect {
-        let signature = Signature { effect, axis: request.axis, slope, range, end_s, shape };
-        amplitude =
-            noise_sd * if slope > 0.0 && effect == ScalarEffect::Backlash { 1.0 / slope } else { 1.0 };
+    let signature =
+        request.effect.map(|effect| Signature { effect, axis: request.axis, slope, range, end_s, shape });
+    if let Some(signature) = &signature {
+        let play = slope > 0.0 && signature.effect == ScalarEffect::Backlash;
+        amplitude = match request.size {
+            EffectSize::Noises(_) => noise_sd * if play { 1.0 / slope } else { 1.0 },
+            EffectSize::Parameter(value) => signature.amplitude(value),
+        };
         // All are in proportion to their amplitude, a play but nearly.
         for _ in 0..8 {
             added = signature.at(amplitude, &readings);
             projected = size(&added, &readings, request.axis, rho, noise_sd);
-            amplitude *= request.target_sigma / projected;
+            if let EffectSize::Noises(noises) = request.size {
+                amplitude *= noises / projected;
+            }
         }
     }
     for ((r, add), e) in readings.iter_mut().zip(added).zip(noise) {
         r.clean = zero + slope * r.x + add;
-        r.y = r.clean + noise_sd * e;
+        r.y = read_out(request.noise, r.clean + noise_sd * e, noise_sd);
     }
     let name = request.effect.map(ScalarEffect::name);
     ScalarCase {
@@ -301,21 +376,34 @@ pub fn draw(request: &ScalarRequest) -> ScalarCase {
             rho,
             tails_dof,
             amplitude,
+            parameters: signature.map(|s| s.parameters(amplitude)).unwrap_or_default(),
             projected_size_in_noises: projected,
             seed: request.seed,
         },
+        line: Line { zero, slope, range },
+        signature,
     }
 }
 
-/// Noise of unit variance for `count` readings, with its correlation and degrees of freedom.
+/// A value as the instrument shows it.
+fn read_out(noise: ScalarNoise, value: f64, step: f64) -> f64 {
+    if noise == ScalarNoise::Rounded { (value / step).round() * step } else { value }
+}
+
+/// Correlation from reading to reading and degrees of freedom of the tails, and noise of unit variance for `count` readings.
 fn draw_noise(kind: ScalarNoise, rng: &mut ChaCha8Rng, count: usize) -> (Vec<f64>, f64, Option<f64>) {
     // Half of the correlated sessions have the round number, the others one beside it.
     let beside = if rng.random_bool(0.5) { 0.0 } else { rng.random_range(-0.12..0.06) };
     let rho = if kind.about() > 0.0 { kind.about() + beside } else { 0.0 };
     let tails_dof = (kind == ScalarNoise::StudentT).then(|| rng.random_range(3f64.ln()..12f64.ln()).exp());
+    (unit_noise(rho, tails_dof, rng, count), rho, tails_dof)
+}
+
+/// A first-order autoregression of unit variance; innovations from Student's t where it has degrees of freedom.
+fn unit_noise(rho: f64, tails_dof: Option<f64>, rng: &mut ChaCha8Rng, count: usize) -> Vec<f64> {
     let chi = tails_dof.and_then(|dof| Some((dof, ChiSquared::new(dof).ok()?)));
     let mut state = 0.0;
-    let noise = (0..count)
+    (0..count)
         .map(|k| {
             let white: f64 = StandardNormal.sample(rng);
             let white = match &chi {
@@ -325,11 +413,42 @@ fn draw_noise(kind: ScalarNoise, rng: &mut ChaCha8Rng, count: usize) -> (Vec<f64
             state = if k == 0 { white } else { rho * state + (1.0 - rho * rho).sqrt() * white };
             state
         })
-        .collect();
-    (noise, rho, tails_dof)
+        .collect()
 }
 
 impl ScalarCase {
+    /// Standard deviation of a reading, rounding included (uniform within a step), in the unit of the response; um for an axis.
+    pub fn reading_sd(&self) -> f64 {
+        let rounding = if self.truth.noise == ScalarNoise::Rounded { 1.0 / 12.0 } else { 0.0 };
+        self.truth.noise_sd * f64::sqrt(1.0 + rounding)
+    }
+
+    /// Another sweep of the same instrument after the session, at stimuli that are given as parts of the range: clean values, and values as read.
+    pub fn another_sweep(&self, parts: &[f64], seed: u64) -> Vec<ScalarReading> {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x00a0_7e12);
+        let after_s = self.readings.last().map_or(0.0, |r| r.t_s) + PAUSE_S;
+        let mut out: Vec<ScalarReading> = (0..parts.len())
+            .map(|k| ScalarReading {
+                holdout: true,
+                point: k,
+                sweep: self.readings.last().map_or(0, |r| r.sweep) + 1,
+                x: parts[k] * self.line.range,
+                clean: 0.0,
+                y: 0.0,
+                t_s: after_s + k as f64 * READING_S,
+                direction: 1,
+                temperature_degc: 21.0,
+            })
+            .collect();
+        let added = self.signature.map(|s| s.at(self.truth.amplitude, &out));
+        let noise = unit_noise(self.truth.rho, self.truth.tails_dof, &mut rng, parts.len());
+        for (k, r) in out.iter_mut().enumerate() {
+            r.clean = self.line.zero + self.line.slope * r.x + added.as_ref().map_or(0.0, |a| a[k]);
+            r.y = read_out(self.truth.noise, r.clean + self.truth.noise_sd * noise[k], self.truth.noise_sd);
+        }
+        out
+    }
+
     /// Writes the session into `folder` (made if missing); its name is the id.
     ///
     /// # Errors

@@ -6,8 +6,8 @@ use wcal_exam::{
 };
 use wcal_plant::scalar;
 use wcal_plant::{
-    Case, CaseKind, Design, Kind, Make, Noise, Request, ScalarEffect, ScalarNoise, ScalarRequest, draw,
-    draw_under,
+    Case, CaseKind, Design, EffectSize, Kind, Make, Noise, Request, ScalarEffect, ScalarNoise, ScalarRequest,
+    draw, draw_under,
 };
 
 fn case(want: CaseKind) -> Case {
@@ -290,7 +290,15 @@ fn held_out_scores_leave_gross_readings_out() {
 fn answers_on_lines_are_scored() {
     let draw = |effect| {
         let noise = ScalarNoise::Correlated;
-        scalar::draw(&ScalarRequest { seed: 2, axis: false, noise, effect, target_sigma: 12.0 })
+        scalar::draw(&ScalarRequest {
+            seed: 2,
+            axis: false,
+            noise,
+            effect,
+            size: EffectSize::Noises(12.0),
+            layout: None,
+            noise_seed: None,
+        })
     };
     let (null, drift) = (draw(None), draw(Some(ScalarEffect::Drift)));
     let mark = |case, document: Value| score_scalar("c", case, &document, "", 0.0, Some(0)).kind;
@@ -314,7 +322,15 @@ fn answers_on_lines_are_scored() {
     // Held-out readings inside the stated deviations.
     let with_holdout = (0..).map(|seed| {
         let noise = ScalarNoise::White;
-        scalar::draw(&ScalarRequest { seed, axis: true, noise, effect: None, target_sigma: 12.0 })
+        scalar::draw(&ScalarRequest {
+            seed,
+            axis: true,
+            noise,
+            effect: None,
+            size: EffectSize::Noises(12.0),
+            layout: None,
+            noise_seed: None,
+        })
     });
     let case = with_holdout.into_iter().find(|c| c.readings.iter().any(|r| r.holdout)).unwrap();
     let table = |off: f64| {

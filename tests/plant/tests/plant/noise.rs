@@ -7,7 +7,8 @@ use wcal_plant::scalar;
 use wcal_plant::session::draw_on;
 use wcal_plant::simulate::Plant;
 use wcal_plant::{
-    Case, CaseKind, Design, Make, Noise, Request, ScalarEffect, ScalarNoise, ScalarRequest, draw_under,
+    Case, CaseKind, Design, EffectSize, Make, Noise, Request, ScalarEffect, ScalarNoise, ScalarRequest,
+    draw_under,
 };
 
 fn request(seed: u64, design: Design) -> Request {
@@ -370,7 +371,15 @@ fn size_is_measured_against_the_true_covariance() {
 }
 
 fn line(noise: ScalarNoise, effect: Option<ScalarEffect>, seed: u64) -> scalar::ScalarCase {
-    scalar::draw(&ScalarRequest { seed, axis: seed % 2 == 1, noise, effect, target_sigma: 9.0 })
+    scalar::draw(&ScalarRequest {
+        seed,
+        axis: seed % 2 == 1,
+        noise,
+        effect,
+        size: EffectSize::Noises(9.0),
+        layout: None,
+        noise_seed: None,
+    })
 }
 
 #[test]

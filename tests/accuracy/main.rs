@@ -16,6 +16,7 @@ mod recorded_verdicts;
 mod residual_loop;
 mod scalar_loop;
 mod second_witness;
+mod statements;
 #[path = "../support/mod.rs"]
 #[allow(dead_code, reason = "each target uses a part")]
 mod support;

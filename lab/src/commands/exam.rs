@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Mutex;
 use wcal_exam::orders::MIXES;
-use wcal_exam::statements::{Auditor, pooled};
+use wcal_exam::statements::{Auditor, LAYOUTS, NOISES, pooled};
 use wcal_exam::{Examiner, Goal, NoiseRow, Order, Outcome, by_noise, clopper_pearson, orders, summarise};
 use wcal_plant::Make;
 
@@ -126,13 +126,14 @@ fn audit(o: &ExamArgs) -> anyhow::Result<ExitCode> {
         program: o.wcal.clone().unwrap_or(std::env::current_exe()?.with_file_name("wcal")),
         folder: o.keep.clone().unwrap_or_else(|| scratch.path().to_path_buf()),
         jobs: o.jobs,
+        widened: 1.0,
     };
-    let rows = auditor.audit(o.draws, o.seed)?;
+    let rows = auditor.audit(&NOISES, &LAYOUTS, o.draws, o.seed)?;
     println!("statement | noise | sweeps x readings | says | holds | of | 95 %");
     println!("---|---|---|---|---|---|---");
     for row in pooled(&rows).iter().chain(&rows) {
         let (k, n) = row.holds;
-        let (low, high) = clopper_pearson(k, n);
+        let (low, high) = row.bounds();
         let [sweeps, places] = row.layout;
         let layout = if sweeps == 0 { "all".to_owned() } else { format!("{sweeps} x {places}") };
         println!(

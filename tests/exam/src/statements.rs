@@ -11,6 +11,7 @@ use std::process::{Command, Stdio};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use crate::goal::clopper_pearson;
 use anyhow::Context;
 use serde::Serialize;
 use serde_json::Value;
@@ -40,6 +41,21 @@ pub struct Auditor {
     pub folder: PathBuf,
     /// Sessions at a time.
     pub jobs: usize,
+    /// Stated half widths of predictions are multiplied by it before they are counted: 1, and another number for a control.
+    pub widened: f64,
+}
+
+impl StatementRow {
+    /// 95 % interval of the share (Clopper and Pearson).
+    pub fn bounds(&self) -> (f64, f64) {
+        clopper_pearson(self.holds.0, self.holds.1)
+    }
+
+    /// Whether the counts agree with what the number says.
+    pub fn agrees(&self) -> bool {
+        let (low, high) = self.bounds();
+        (low..=high).contains(&self.says)
+    }
 }
 
 /// Kinds of noise that are drawn.
@@ -68,8 +84,14 @@ impl Auditor {
     ///
     /// # Errors
     /// Where a session cannot be written or the program cannot be started.
-    pub fn audit(&self, draws: usize, seed: u64) -> anyhow::Result<Vec<StatementRow>> {
-        let orders = orders(draws, seed);
+    pub fn audit(
+        &self,
+        noises: &[ScalarNoise],
+        layouts: &[Layout],
+        draws: usize,
+        seed: u64,
+    ) -> anyhow::Result<Vec<StatementRow>> {
+        let orders = orders(noises, layouts, draws, seed);
         let (next, tally, failed) = (AtomicUsize::new(0), Mutex::new(Tally::new()), Mutex::new(None));
         std::thread::scope(|scope| {
             for _ in 0..self.jobs.max(1) {
@@ -165,7 +187,7 @@ impl Auditor {
         let mut squares = 0.0;
         for (k, record) in reader.deserialize::<BTreeMap<String, f64>>().enumerate() {
             let record = record?;
-            let (value, half) = (record["response"], record["response_half95"]);
+            let (value, half) = (record["response"], self.widened * record["response_half95"]);
             let place = match k {
                 _ if k == 0 || k == n - 1 => "at the ends",
                 _ if k < n => "at places",
@@ -294,13 +316,13 @@ fn parameters(case: &ScalarCase, verify: &Value) -> Vec<Counted> {
 }
 
 /// Of each noise and layout: clean sessions, and as many with an effect that is clear.
-fn orders(draws: usize, seed: u64) -> Vec<Draw> {
+fn orders(noises: &[ScalarNoise], layouts: &[Layout], draws: usize, seed: u64) -> Vec<Draw> {
     let mut out = Vec::new();
-    for (a, noise) in NOISES.into_iter().enumerate() {
-        for (b, layout) in LAYOUTS.into_iter().enumerate() {
+    for &noise in noises {
+        for &layout in layouts {
             for k in 0..2 * draws {
                 let effect = (k >= draws).then(|| ScalarEffect::ALL[k % ScalarEffect::ALL.len()]);
-                let number = (a * LAYOUTS.len() + b) * 2 * draws + k;
+                let number = out.len();
                 let request = ScalarRequest {
                     seed: seed.wrapping_mul(1_000_003).wrapping_add(number as u64),
                     axis: k % 2 == 1,

@@ -196,7 +196,7 @@ fn judged(line: &str) -> Option<(String, &'static str)> {
 
 #[test]
 fn a_goal_on_the_page_of_the_exam_is_met_by_its_interval() {
-    let page = read("docs/src/exam.md");
+    let page = read("docs/src/lab-notes/exam-tables.md");
     let rows: Vec<_> = page.lines().filter_map(|l| Some((judged(l)?, l))).collect();
     assert!(rows.len() > 100, "{}", rows.len());
     let wrong: Vec<&str> =

@@ -5,6 +5,7 @@ use crate::assign::ChannelMap;
 use crate::camera_pair::CameraPair;
 use crate::camera_watch::watch;
 use crate::limits::{LimitedStage, Limits};
+use crate::message::Refused;
 use crate::monitor::Monitor;
 use crate::plan::{Plan, Step};
 use crate::recorder::Recorder;
@@ -41,20 +42,19 @@ pub struct RecordResult {
     pub repeats: u64,
     /// Whether the devices were simulated.
     pub simulated: bool,
+    /// Messages that the recorder left out.
+    pub refused: Refused,
 }
 
 impl RecordResult {
     /// What was lost or is not as it should be; each is a reason for exit code 3.
     pub fn warnings(&self) -> Vec<String> {
-        match &self.reduction {
+        let of_sweep = match &self.reduction {
             // The tables contain every run of the session, the sweep its own only.
-            Ok(reduction) => {
-                let mut all = reduction.stream_warnings();
-                all.extend(self.sweep.signal_warnings());
-                all
-            }
+            Ok(reduction) => [reduction.stream_warnings(), self.sweep.signal_warnings()].concat(),
             Err(_) => self.sweep.warnings(),
-        }
+        };
+        self.refused.text().into_iter().chain(of_sweep).collect()
     }
 
     /// 0 good, 1 stopped or without tables, 3 finished with warnings.
@@ -189,12 +189,13 @@ pub fn record(
     });
     // Scans that came while the last step ended are in the recording as well.
     sweep.counts = monitor.into_inner().unwrap_or_else(PoisonError::into_inner).counts();
+    let refused = recorder.refused();
     if let (Err(e), Ending::Finished) = (recorder.finish(), &sweep.ending) {
         sweep.ending = Ending::Stopped { cause: disk(&e), stage: StageEnd::Retracted };
     }
     begun.release();
     let reduction = reduce(&request.folder);
-    let mut recorded = RecordResult { sweep, reduction, repeats: devices.repeats(), simulated };
+    let mut recorded = RecordResult { sweep, reduction, repeats: devices.repeats(), simulated, refused };
     if let Err(e) = add_outcome(&request.folder, name, &recorded) {
         recorded.reduction = Err(e);
     }

@@ -29,7 +29,7 @@ use wcal_core::deadline::Interrupt;
 use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Permission};
 use wcal_core::files::write_atomic;
 use wcal_core::provenance::sha256_hex;
-use wcal_core::rig_devices::{DeviceOpener, InterrogatorRig};
+use wcal_core::rig_devices::{CameraDriver, DeviceOpener, InterrogatorDriver, InterrogatorRig};
 
 /// What came of it.
 #[derive(Debug)]
@@ -91,8 +91,8 @@ pub fn open_interrogator(
     rig: &InterrogatorRig,
     clock: HostClock,
 ) -> Result<Box<dyn Interrogator + Send>, DeviceError> {
-    match rig.driver.as_str() {
-        "replay" => Ok(Box::new(ReplayInterrogator::open(Path::new(&rig.address))?)),
+    match rig.driver {
+        InterrogatorDriver::Replay => Ok(Box::new(ReplayInterrogator::open(Path::new(&rig.address))?)),
         _ => devices.interrogator(rig, clock),
     }
 }
@@ -106,7 +106,7 @@ fn open_cameras(
     let [first, second] = rig.camera.as_slice() else { return Ok(None) };
     let cameras = [devices.camera(first, clock)?, devices.camera(second, clock)?];
     // V4L2 counts the frames of each camera from its own start.
-    let own_numbers = first.driver == "v4l2" || second.driver == "v4l2";
+    let own_numbers = [first, second].iter().any(|c| c.driver == CameraDriver::V4l2);
     let pair = if own_numbers { CameraPair::by_time } else { CameraPair::new };
     Ok(Some(pair(cameras, rig.camera_skew_limit_ms)))
 }

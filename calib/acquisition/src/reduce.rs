@@ -15,7 +15,7 @@ use crate::tables::{self, Row, Stream};
 use crate::windows::{Window, missing_share, windows_of};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use wcal_core::files::write_atomic;
+use wcal_core::files::{remove_abandoned, write_atomic};
 
 pub use crate::reduction::Reduction;
 
@@ -101,6 +101,7 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     result.marked =
         [Stream::Lost, Stream::Late, Stream::Moved].map(|s| rows.iter().filter(|r| r.stream == s).count());
     let cameras: Vec<&str> = rig.camera.iter().map(|c| c.name.as_str()).collect();
+    remove_abandoned(folder);
     let files = tables::write_tables(&rig, &rows, run.is_simulated())?;
     for (name, bytes) in &files {
         write_atomic(&folder.join(name), bytes)?;

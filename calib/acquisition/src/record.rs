@@ -25,7 +25,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 use wcal_core::clock::HostClock;
-use wcal_core::deadline::Interrupt;
+use wcal_core::deadline::{Interrupt, Signal};
 use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Permission};
 use wcal_core::files::write_atomic;
 use wcal_core::provenance::sha256_hex;
@@ -57,17 +57,13 @@ impl RecordResult {
         self.refused.text().into_iter().chain(of_sweep).collect()
     }
 
-    /// 0 good, 1 stopped or without tables, 3 finished with warnings.
+    /// 0 good, 1 stopped or without tables, 3 finished with warnings, 128 and its number ended by a signal.
     pub fn exit_code(&self) -> u8 {
-        match self.sweep.ending {
-            Ending::Finished if self.reduction.is_ok() => {
-                if self.warnings().is_empty() {
-                    0
-                } else {
-                    3
-                }
-            }
-            _ => 1,
+        match &self.sweep.ending {
+            Ending::Stopped { cause, .. } => Signal::of(cause).map_or(1, Signal::exit_code),
+            Ending::Finished if self.reduction.is_err() => 1,
+            Ending::Finished if self.warnings().is_empty() => 0,
+            Ending::Finished => 3,
         }
     }
 }

@@ -15,7 +15,7 @@ use clap::Args;
 use std::fs;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
-use wcal_core::files::{folder_of, sync_folder, write_atomic};
+use wcal_core::files::{HALF_WRITTEN, folder_of, remove_abandoned, sync_folder, write_atomic};
 use wcal_core::text::brief;
 
 /// Consent to write where something else is.
@@ -127,7 +127,7 @@ fn entries(folder: &Path) -> Result<Vec<String>> {
         fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect()
     };
     let mut names = read().with_context(|| format!("reading {}", folder.display()))?;
-    names.retain(|name| !(name.starts_with(".wcal-") && name.ends_with(".tmp")));
+    names.retain(|name| !(name.starts_with(HALF_WRITTEN[0]) && name.ends_with(HALF_WRITTEN[1])));
     names.sort();
     Ok(names)
 }
@@ -198,8 +198,12 @@ impl<'a> OutputFolder<'a> {
         let folder = self.folder.as_path();
         let fail = |doing: &str| format!("{doing} {}", folder.display());
         fs::create_dir_all(folder).with_context(|| fail("creating"))?;
-        let staging = tempfile::Builder::new().prefix(".wcal-").suffix(".tmp").tempdir_in(folder);
+        remove_abandoned(folder);
+        let staging =
+            tempfile::Builder::new().prefix(HALF_WRITTEN[0]).suffix(HALF_WRITTEN[1]).tempdir_in(folder);
         let staging = staging.with_context(|| fail("writing into"))?;
+        // Nobody else tidies it away while it is filled; without locks nobody tidies.
+        let held = fs::File::open(staging.path()).map(|open| open.try_lock().map(|()| open));
         for (name, bytes) in &self.files {
             write_atomic(&staging.path().join(name), bytes)?;
         }
@@ -214,6 +218,7 @@ impl<'a> OutputFolder<'a> {
         for (name, _) in &self.files {
             fs::rename(staging.path().join(name), folder.join(name)).with_context(|| fail("writing into"))?;
         }
+        drop(held);
         Ok(sync_folder(folder)?)
     }
 }

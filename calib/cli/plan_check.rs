@@ -3,7 +3,7 @@
 //! It needs no data: the readings that a typical sensor would give at the planned poses are made from the rod. What is never distinguished here cannot
 //! be distinguished by any number of repetitions.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use std::fmt::Write as _;
 use wcal_acquisition::plan::{Plan, Pose, Step};
 use wcal_acquisition::rig::Rig;
@@ -11,11 +11,19 @@ use wcal_core::{SessionData, WhiskerData};
 use wcal_session::load;
 use wcal_trace::whisker::plan_check::{PlanCheck, plan_check};
 
+/// What the readings of a grating determine before any effect: the sensitivity to two moments, and a zero.
+const UNKNOWNS: usize = 3;
+
 /// What the steps of a plan on a rig can show.
 ///
 /// # Errors
 /// Where the wire cannot be modelled, or has no equilibrium at the planned poses.
 pub fn of_plan(rig: &Rig, plan: &Plan, steps: &[Step]) -> Result<PlanCheck> {
+    let readings = steps.iter().filter(|s| matches!(s, Step::Settled(_) | Step::Moving { .. })).count();
+    ensure!(
+        readings >= UNKNOWNS,
+        "so few readings show no effect: {readings} where sensitivity and zero alone take {UNKNOWNS}"
+    );
     Ok(plan_check(&planned_session(rig, plan, steps)?)?)
 }
 

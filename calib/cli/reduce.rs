@@ -130,6 +130,9 @@ pub(crate) fn report(result: &Reduction, as_json: bool) -> Result<()> {
         "{} rows, {} holdout rows from {} scans ({} lost, {} marked, {} recordings cut off)",
         result.rows, result.holdout, result.scans, result.lost, result.outliers, result.cut_off
     );
+    if result.repeated > 0 {
+        eprintln!("{} messages stand in a recording more than once; each counts once", result.repeated);
+    }
     Ok(())
 }
 

@@ -30,7 +30,8 @@ use wcal_trace::whisker::plan_check::PlanCheck;
 
 Ctrl-C, SIGTERM, SIGHUP and every fault stop the stage and leave a readable session; `--resume SESSION` continues it.
 A session and a stage each allow one sweep at a time.
-Exit code 0: good; 1: stopped, or nothing could be recorded; 3: finished, with data lost or warnings that matter.")]
+Exit code 0: good; 1: stopped by a fault, or nothing could be recorded; 3: finished, with data lost or warnings that matter; 130: stopped by
+Ctrl-C (143 SIGTERM, 129 SIGHUP).")]
 pub struct StageSweepArgs {
     /// Rig: rig.toml or the folder that holds it
     #[arg(long, value_name = "RIG")]
@@ -48,7 +49,7 @@ pub struct StageSweepArgs {
     #[arg(long, value_name = "ADDRESSES.json")]
     pub bench: Option<PathBuf>,
     /// Use a scenario's virtual bench in this process instead of the rig's devices, faster than real time; without cameras
-    #[arg(long, value_name = "S.toml", conflicts_with_all = ["bench", "resume"])]
+    #[arg(long, value_name = "S.toml", conflicts_with = "bench")]
     pub scenario: Option<PathBuf>,
     /// Home the stage if it has no reference (moves to the home switch)
     #[arg(long)]
@@ -61,7 +62,7 @@ pub struct StageSweepArgs {
     pub json: bool,
 }
 
-/// Runs a sweep. Exit codes: 0 good, 1 stopped by a fault or a signal (the session is intact), 3 finished with warnings.
+/// Runs a sweep. Exit codes: 0 good, 1 stopped by a fault (the session is intact), 3 finished with warnings, 130 stopped by Ctrl-C.
 ///
 /// # Errors
 /// When rig, plan, folder or devices cannot be used.
@@ -76,8 +77,10 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         rig = with_addresses(&rig, &read(bench)?)
             .with_context(|| format!("addresses in {}", bench.display()))?;
     }
-    if arguments.scenario.is_some() {
-        rig = bench_rig::in_this_process(&rig).with_context(|| rig_file.display().to_string())?;
+    let own_bench = arguments.scenario.as_deref().map(crate::virtual_bench::load).transpose()?;
+    if let Some((scenario, _)) = &own_bench {
+        let own_rig = bench_rig::in_this_process(&rig, scenario.interrogator.rate_hz);
+        rig = own_rig.with_context(|| rig_file.display().to_string())?;
     }
     if arguments.dry_run {
         return dry_run((&rig_file, &rig), (&arguments.plan, &plan), arguments.json);
@@ -103,10 +106,12 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
     };
     let mut view = View::new();
     let mut progress = |p: &Progress| view.show(p);
-    let recorded = match &arguments.scenario {
-        Some(file) => {
-            let (scenario, plant) = crate::virtual_bench::load(file)?;
+    let recorded = match own_bench {
+        Some((scenario, plant)) => {
             let mut bench = InProcess::new(scenario, plant);
+            if resume {
+                bench.pass(bench_rig::ahead_s(&folder)?.max(0.0));
+            }
             let mut pause = {
                 let bench = bench.clone();
                 move |time: Duration| bench.pause(time)
@@ -119,7 +124,7 @@ pub fn run(arguments: &StageSweepArgs) -> Result<ExitCode> {
         }
     };
     view.end();
-    report(&recorded, &folder, arguments.json)?;
+    report(&recorded, &folder, arguments)?;
     Ok(ExitCode::from(recorded.exit_code()))
 }
 
@@ -221,7 +226,7 @@ fn dry_run(rig: (&Path, &str), plan: (&Path, &str), as_json: bool) -> Result<Exi
     Ok(ExitCode::SUCCESS)
 }
 
-fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
+fn report(recorded: &RecordResult, folder: &Path, arguments: &StageSweepArgs) -> Result<()> {
     let sweep = &recorded.sweep;
     let (ending, cause) = match &sweep.ending {
         Ending::Finished => ("finished", None),
@@ -235,7 +240,7 @@ fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
         eprintln!("stage-sweep: the raw streams are kept, but reducing them failed: {e}");
     }
     let tables = recorded.reduction.as_ref().ok();
-    if as_json {
+    if arguments.json {
         let stage_stopped = match sweep.ending {
             Ending::Stopped { stage, .. } => stage.stands(),
             Ending::Finished => true,
@@ -275,7 +280,9 @@ fn report(recorded: &RecordResult, folder: &Path, as_json: bool) -> Result<()> {
             }
             _ => eprintln!("stage-sweep: the stage stands, retracted from the wire"),
         }
-        eprintln!("go on with the same rig and plan and --resume {}", folder.display());
+        // A bench in this process has ended with it: the next one has no reference.
+        let bench = if arguments.scenario.is_some() { ", scenario, --home" } else { "" };
+        eprintln!("go on with the same rig and plan{bench} and --resume {}", folder.display());
     }
     if recorded.simulated {
         eprintln!("SIMULATED: recorded on a virtual bench; session.toml and run.json say so");

@@ -224,7 +224,7 @@ fn ctrl_c_stops_the_stage_and_leaves_a_session() {
     let id = child.id().to_string();
     assert!(Command::new("kill").args(["-INT", &id]).status().expect("kill").success());
     let run = child.wait_with_output().expect("ends");
-    assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
+    assert_eq!(run.status.code(), Some(130), "{}", text(&run.stderr));
     let sweep = document(&run);
     assert_eq!((&sweep["ending"], &sweep["cause"]["kind"]), (&"stopped".into(), &"interrupted".into()));
     assert_eq!(sweep["stage_stopped"], true);

@@ -5,6 +5,7 @@ pub mod copy;
 pub mod drawn_boards;
 pub mod not_run;
 pub mod packages;
+pub mod recordings;
 pub mod virtual_bench;
 
 use std::path::{Path, PathBuf};

@@ -2,8 +2,10 @@
 
 use prost::{Message, Name};
 use prost_types::Timestamp;
+use std::fmt;
 use wcal_core::device::{Clocks, FbgReading, InterrogatorHealth, StageReading};
 use wcal_core::ranges::{OutOfRange, Range};
+use wcal_core::text::brief;
 
 /// Messages of this program.
 mod wcal {
@@ -82,12 +84,41 @@ fn judge<const N: usize>(numbers: [(Range, f64); N]) -> Result<(), OutOfRange> {
     numbers.iter().try_for_each(|(range, value)| range.judge_own(*value))
 }
 
-/// Judges the time stamp of a picture, s.
+/// Time of a picture, s.
 ///
 /// # Errors
 /// Where no clock can have it.
-pub(crate) fn judge_timestamp(at_s: f64) -> Result<(), OutOfRange> {
-    range::TIMESTAMP_S.judge_own(at_s)
+pub(crate) fn picture_time_s(timestamp: Option<Timestamp>) -> Result<f64, OutOfRange> {
+    let at = timestamp.unwrap_or_default();
+    let at_s = at.seconds as f64 + f64::from(at.nanos) * 1e-9;
+    range::TIMESTAMP_S.judge_own(at_s).map(|()| at_s)
+}
+
+/// Messages that were left out, each alone: their bytes or a number in them are none that a device can have meant.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Refused {
+    count: u64,
+    first: Option<String>,
+}
+
+impl Refused {
+    /// Counts a message of a topic.
+    pub(crate) fn add(&mut self, topic: &str, why: impl fmt::Display) {
+        self.count += 1;
+        self.first.get_or_insert_with(|| format!("{}: {why}", brief(topic)));
+    }
+
+    /// Counts those of another recording.
+    pub(crate) fn join(&mut self, other: Self) {
+        self.count += other.count;
+        self.first = self.first.take().or(other.first);
+    }
+
+    /// In words; none where there are none.
+    pub fn text(&self) -> Option<String> {
+        let text = |first| format!("{} messages that make no sense left out; the first: {first}", self.count);
+        self.first.as_ref().map(text)
+    }
 }
 
 /// A message that a recording may hold.
@@ -106,7 +137,7 @@ pub(crate) fn stamp(seconds: f64) -> Timestamp {
     Timestamp { seconds: (nanos / 1_000_000_000) as i64, nanos: (nanos % 1_000_000_000) as i32 }
 }
 
-/// A message that is read back: its numbers are judged before anything is made of them.
+/// A message whose numbers are judged: before it is written, and before anything is made of what was read.
 pub trait RecordedMessage: McapMessage {
     /// Holds every number against what its field may have.
     ///
@@ -214,6 +245,18 @@ impl RecordedMessage for SweepEvent {
             (range::ARRIVED_S, self.arrived_s),
             (range::ROWS_HZ, self.rows_hz),
         ])
+    }
+}
+
+impl RecordedMessage for CompressedImage {
+    fn check(&self) -> Result<(), OutOfRange> {
+        picture_time_s(self.timestamp).map(drop)
+    }
+}
+
+impl RecordedMessage for Log {
+    fn check(&self) -> Result<(), OutOfRange> {
+        Ok(())
     }
 }
 

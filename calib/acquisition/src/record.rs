@@ -5,6 +5,7 @@ use crate::assign::ChannelMap;
 use crate::camera_pair::CameraPair;
 use crate::camera_watch::watch;
 use crate::limits::{LimitedStage, Limits};
+use crate::message::Refused;
 use crate::monitor::Monitor;
 use crate::plan::{Plan, Step};
 use crate::recorder::Recorder;
@@ -24,11 +25,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 use wcal_core::clock::HostClock;
-use wcal_core::deadline::Interrupt;
+use wcal_core::deadline::{Interrupt, Signal};
 use wcal_core::device::{DeviceError, DeviceIdentity, Interrogator, Mount, Permission};
 use wcal_core::files::write_atomic;
 use wcal_core::provenance::sha256_hex;
-use wcal_core::rig_devices::{DeviceOpener, InterrogatorRig};
+use wcal_core::rig_devices::{CameraDriver, DeviceOpener, InterrogatorDriver, InterrogatorRig};
 
 /// What came of it.
 #[derive(Debug)]
@@ -41,33 +42,28 @@ pub struct RecordResult {
     pub repeats: u64,
     /// Whether the devices were simulated.
     pub simulated: bool,
+    /// Messages that the recorder left out.
+    pub refused: Refused,
 }
 
 impl RecordResult {
     /// What was lost or is not as it should be; each is a reason for exit code 3.
     pub fn warnings(&self) -> Vec<String> {
-        match &self.reduction {
+        let of_sweep = match &self.reduction {
             // The tables contain every run of the session, the sweep its own only.
-            Ok(reduction) => {
-                let mut all = reduction.stream_warnings();
-                all.extend(self.sweep.signal_warnings());
-                all
-            }
+            Ok(reduction) => [reduction.stream_warnings(), self.sweep.signal_warnings()].concat(),
             Err(_) => self.sweep.warnings(),
-        }
+        };
+        self.refused.text().into_iter().chain(of_sweep).collect()
     }
 
-    /// 0 good, 1 stopped or without tables, 3 finished with warnings.
+    /// 0 good, 1 stopped or without tables, 3 finished with warnings, 128 and its number ended by a signal.
     pub fn exit_code(&self) -> u8 {
-        match self.sweep.ending {
-            Ending::Finished if self.reduction.is_ok() => {
-                if self.warnings().is_empty() {
-                    0
-                } else {
-                    3
-                }
-            }
-            _ => 1,
+        match &self.sweep.ending {
+            Ending::Stopped { cause, .. } => Signal::of(cause).map_or(1, Signal::exit_code),
+            Ending::Finished if self.reduction.is_err() => 1,
+            Ending::Finished if self.warnings().is_empty() => 0,
+            Ending::Finished => 3,
         }
     }
 }
@@ -91,8 +87,8 @@ pub fn open_interrogator(
     rig: &InterrogatorRig,
     clock: HostClock,
 ) -> Result<Box<dyn Interrogator + Send>, DeviceError> {
-    match rig.driver.as_str() {
-        "replay" => Ok(Box::new(ReplayInterrogator::open(Path::new(&rig.address))?)),
+    match rig.driver {
+        InterrogatorDriver::Replay => Ok(Box::new(ReplayInterrogator::open(Path::new(&rig.address))?)),
         _ => devices.interrogator(rig, clock),
     }
 }
@@ -106,7 +102,7 @@ fn open_cameras(
     let [first, second] = rig.camera.as_slice() else { return Ok(None) };
     let cameras = [devices.camera(first, clock)?, devices.camera(second, clock)?];
     // V4L2 counts the frames of each camera from its own start.
-    let own_numbers = first.driver == "v4l2" || second.driver == "v4l2";
+    let own_numbers = [first, second].iter().any(|c| c.driver == CameraDriver::V4l2);
     let pair = if own_numbers { CameraPair::by_time } else { CameraPair::new };
     Ok(Some(pair(cameras, rig.camera_skew_limit_ms)))
 }
@@ -189,12 +185,13 @@ pub fn record(
     });
     // Scans that came while the last step ended are in the recording as well.
     sweep.counts = monitor.into_inner().unwrap_or_else(PoisonError::into_inner).counts();
+    let refused = recorder.refused();
     if let (Err(e), Ending::Finished) = (recorder.finish(), &sweep.ending) {
         sweep.ending = Ending::Stopped { cause: disk(&e), stage: StageEnd::Retracted };
     }
     begun.release();
     let reduction = reduce(&request.folder);
-    let mut recorded = RecordResult { sweep, reduction, repeats: devices.repeats(), simulated };
+    let mut recorded = RecordResult { sweep, reduction, repeats: devices.repeats(), simulated, refused };
     if let Err(e) = add_outcome(&request.folder, name, &recorded) {
         recorded.reduction = Err(e);
     }

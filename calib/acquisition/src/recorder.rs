@@ -2,7 +2,8 @@
 
 use crate::error::AcquisitionError;
 use crate::message::{
-    CompressedImage, FrameInfo, Log, McapMessage, Scan, StagePosition, SweepEvent, nanoseconds, stamp, topic,
+    CompressedImage, FrameInfo, Log, McapMessage, RecordedMessage, Refused, Scan, StagePosition, SweepEvent,
+    nanoseconds, stamp, topic,
 };
 use crate::pictures::{lossless, preview};
 use mcap::records::{MessageHeader, Metadata};
@@ -44,6 +45,7 @@ struct Open {
     channels: HashMap<String, (u16, u32)>,
     flushed: Instant,
     synced: Instant,
+    refused: Refused,
 }
 
 impl Open {
@@ -85,7 +87,8 @@ impl Recorder {
         let mut writer = options.create(BufWriter::new(file)).map_err(failed)?;
         writer.write_metadata(&Metadata { name: "wcal".to_owned(), metadata: about }).map_err(failed)?;
         let now = Instant::now();
-        let open = Open { writer, channels: HashMap::new(), flushed: now, synced: now };
+        let open =
+            Open { writer, channels: HashMap::new(), flushed: now, synced: now, refused: Refused::default() };
         let recorder =
             Self { open: Mutex::new(open), file: copy, path: path.to_owned(), failed: OnceLock::new() };
         recorder.flush()?;
@@ -100,21 +103,25 @@ impl Recorder {
         first_failure(&self.path, &self.failed, error)
     }
 
-    /// Records a message.
+    /// Records a message; false where a reader would refuse it: it is left out and counted.
     ///
     /// # Errors
     /// When the disk does not take it.
-    pub fn message<M: McapMessage>(
+    pub fn message<M: RecordedMessage>(
         &self,
         topic: &str,
         message: &M,
         host_s: f64,
-    ) -> Result<(), AcquisitionError> {
+    ) -> Result<bool, AcquisitionError> {
         let mut open = self.lock();
+        if let Err(why) = message.check() {
+            open.refused.add(topic, why);
+            return Ok(false);
+        }
         open.write(topic, message, host_s).map_err(|e| self.failed(&e))?;
         let now = Instant::now();
         if now - open.flushed < FLUSH {
-            return Ok(());
+            return Ok(true);
         }
         open.flushed = now;
         open.writer.flush().map_err(|e| self.failed(&e))?;
@@ -124,22 +131,27 @@ impl Recorder {
             drop(open);
             self.file.sync_data().map_err(|e| self.failed(&e))?;
         }
-        Ok(())
+        Ok(true)
     }
 
-    /// Records a scan.
+    /// Messages that were left out so far.
+    pub fn refused(&self) -> Refused {
+        self.lock().refused.clone()
+    }
+
+    /// Records a scan; false as for [`Recorder::message`].
     ///
     /// # Errors
     /// When the disk does not take it.
-    pub fn scan(&self, reading: &FbgReading) -> Result<(), AcquisitionError> {
+    pub fn scan(&self, reading: &FbgReading) -> Result<bool, AcquisitionError> {
         self.message(topic::SCAN, &Scan::from(reading), reading.clocks.host_s)
     }
 
-    /// Records a stage reading.
+    /// Records a stage reading; false as for [`Recorder::message`].
     ///
     /// # Errors
     /// When the disk does not take it.
-    pub fn stage(&self, reading: &StageReading) -> Result<(), AcquisitionError> {
+    pub fn stage(&self, reading: &StageReading) -> Result<bool, AcquisitionError> {
         self.message(topic::STAGE, &StagePosition::from(reading), reading.clocks.host_s)
     }
 
@@ -163,7 +175,7 @@ impl Recorder {
             message: text.to_owned(),
             name: "wcal".to_owned(),
         };
-        self.message(topic::LOG, &line, host_s)
+        self.message(topic::LOG, &line, host_s).map(drop)
     }
 
     /// Records the arrival of a frame and, where it shows the settled pose of a step, the picture without loss.
@@ -179,8 +191,7 @@ impl Recorder {
             exposure_s: frame.measured_exposure_ms.or(frame.commanded_exposure_ms).map(|ms| ms * 1e-3),
             step,
         };
-        self.message(topic::FRAME, &info, frame.clocks.host_s)?;
-        if step.is_some() {
+        if self.message(topic::FRAME, &info, frame.clocks.host_s)? && step.is_some() {
             self.picture(&format!("{}{name}", topic::POSE_PICTURE), name, frame, "png", lossless(frame)?)?;
         }
         Ok(())
@@ -208,7 +219,7 @@ impl Recorder {
             data,
             format: format.to_owned(),
         };
-        self.message(topic, &image, frame.clocks.host_s)
+        self.message(topic, &image, frame.clocks.host_s).map(drop)
     }
 
     /// Closes the file with its index.

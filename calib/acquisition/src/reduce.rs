@@ -15,7 +15,7 @@ use crate::tables::{self, Row, Stream};
 use crate::windows::{Window, missing_share, windows_of};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use wcal_core::files::write_atomic;
+use wcal_core::files::{remove_abandoned, write_atomic};
 
 pub use crate::reduction::Reduction;
 
@@ -54,7 +54,10 @@ fn nothing_reduced(first: &Path, rows: usize, result: &Reduction) -> Result<(), 
         _ if rows > 0 => return Ok(()),
         Reduction { events: 0, scans, .. } => (
             format!("events of a sweep ({})", crate::message::topic::EVENT),
-            format!("none among {scans} scans: what the sweep did is not known"),
+            match result.refused.text() {
+                Some(refused) => format!("none among {scans} scans, {refused}"),
+                None => format!("none among {scans} scans: what the sweep did is not known"),
+            },
         ),
         Reduction { events, empty_windows, .. } => (
             "a reading (a sweep that stopped before its first has nothing to reduce)".to_owned(),
@@ -98,6 +101,7 @@ pub fn reduce(folder: &Path) -> Result<Reduction, AcquisitionError> {
     result.marked =
         [Stream::Lost, Stream::Late, Stream::Moved].map(|s| rows.iter().filter(|r| r.stream == s).count());
     let cameras: Vec<&str> = rig.camera.iter().map(|c| c.name.as_str()).collect();
+    remove_abandoned(folder);
     let files = tables::write_tables(&rig, &rows, run.is_simulated())?;
     for (name, bytes) in &files {
         write_atomic(&folder.join(name), bytes)?;
@@ -211,6 +215,8 @@ fn read_contents(
     result.events += events.len();
     result.cut_off += usize::from(end.cut_off.is_some());
     result.damaged_chunks += end.damaged_chunks;
+    result.repeated += end.repeated;
+    result.refused.join(end.refused);
     let cameras: BTreeMap<String, ClockFit> =
         cameras.into_iter().filter_map(|(name, pair)| Some((name, pair.fit()?))).collect();
     result.camera_clocks.extend(cameras.iter().map(|(name, fit)| (name.clone(), *fit)));

@@ -1,6 +1,7 @@
 //! What a reduction made, and what it warns of.
 
 use crate::clocks::ClockFit;
+use crate::message::Refused;
 
 /// What a reduction made.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -35,6 +36,10 @@ pub struct Reduction {
     pub cut_off: usize,
     /// Chunks of the recordings that could not be read.
     pub damaged_chunks: u64,
+    /// Messages of the recordings that were left out.
+    pub refused: Refused,
+    /// Messages that the recordings hold once more; each counts once.
+    pub repeated: u64,
     /// Camera pairs recorded, and refused.
     pub pairs: [u64; 2],
     /// Why the first of those was refused.
@@ -87,7 +92,10 @@ impl Reduction {
                     marked[2]
                 ),
             ),
-            (*empty_windows > 0, format!("{empty_windows} windows without usable scans: no rows")),
+            (
+                *empty_windows > 0,
+                format!("{empty_windows} windows without usable scans or answers of the stage: no rows"),
+            ),
             (
                 refused > 0,
                 match &self.refused_why {
@@ -98,7 +106,7 @@ impl Reduction {
             (self.pictures[1] > 0, format!("{} poses without pictures", self.pictures[1])),
         ];
         let all = all.into_iter().filter(|(on, _)| *on).map(|(_, text)| text);
-        self.fault_warnings().chain(all).chain(self.clock_warnings()).collect()
+        self.fault_warnings().chain(self.refused.text()).chain(all).chain(self.clock_warnings()).collect()
     }
 
     /// Faults of the interrogator's clock.

@@ -2,18 +2,19 @@
 
 use crate::error::AcquisitionError;
 use crate::message::{
-    CompressedImage, FrameInfo, RecordedMessage, Scan, StagePosition, SweepEvent, judge_timestamp, topic,
+    CompressedImage, FrameInfo, RecordedMessage, Refused, Scan, StagePosition, SweepEvent, nanoseconds,
+    picture_time_s, topic,
 };
 use mcap::parse_record;
 use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use prost::Message as _;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io::Read;
 use std::path::Path;
 use wcal_core::ranges::OutOfRange;
-use wcal_core::text::brief;
 
 /// One message of a recording.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,34 +42,37 @@ pub struct End {
     pub cut_off: Option<String>,
     /// Chunks that were left out: their checksum is wrong, or their content makes no sense.
     pub damaged_chunks: u64,
+    /// Messages that were left out.
+    pub refused: Refused,
+    /// Messages that the file holds once more; each was given once.
+    pub repeated: u64,
 }
 
 impl End {
     /// Closed properly, and all of it read.
     pub fn is_whole(&self) -> bool {
-        *self == Self::default()
+        *self == Self { repeated: self.repeated, ..Self::default() }
     }
 }
 
 impl fmt::Display for End {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match (self.damaged_chunks, &self.cut_off) {
-            (0, None) => write!(f, "closed"),
-            (0, Some(why)) => write!(f, "cut off ({why})"),
-            (n, None) => write!(f, "{n} damaged chunks left out"),
-            (n, Some(why)) => write!(f, "{n} damaged chunks left out, then cut off ({why})"),
-        }
+        let chunks = self.damaged_chunks;
+        let damaged = (chunks > 0).then(|| format!("{chunks} damaged chunks left out"));
+        let cut_off = self.cut_off.as_ref().map(|why| format!("cut off ({why})"));
+        let all: Vec<String> = damaged.into_iter().chain(self.refused.text()).chain(cut_off).collect();
+        f.write_str(if self.is_whole() { "closed".to_owned() } else { all.join(", then ") }.as_str())
     }
 }
 
 /// Longest record that is read, bytes: a chunk of this program has half a megabyte, or one picture. A longer one is a damaged length.
 const MAX_RECORD_BYTES: u64 = 256 << 20;
 
-/// Passes every message in file order to `take`. A chunk with a wrong checksum is left out whole; at a wrong length the rest
-/// cannot be found and reading stops. Neither is an error: the result states what was lost.
+/// Passes every message in file order to `take`, each once. A chunk with a wrong checksum is left out whole, a message that makes no sense
+/// alone; at a wrong length the rest cannot be found and reading stops. None is an error: the result states what was lost.
 ///
 /// # Errors
-/// When the file cannot be opened, is no MCAP file, is compressed, or holds a message that cannot be decoded.
+/// When the file cannot be opened, is no MCAP file, or is compressed.
 pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, AcquisitionError> {
     let mut file = wcal_core::files::open(path).map_err(AcquisitionError::io("opening", path))?;
     let size = file.metadata().map_err(AcquisitionError::io("opening", path))?.len();
@@ -76,7 +80,7 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Acquisiti
     let limit = usize::try_from(size.min(MAX_RECORD_BYTES)).unwrap_or(usize::MAX);
     let options = LinearReaderOptions::default().with_emit_chunks(true).with_record_length_limit(limit);
     let mut reader = LinearReader::new_with_options(options);
-    let (mut end, mut topics) = (End::default(), Topics::default());
+    let mut messages = Messages::default();
     while let Some(event) = reader.next_event() {
         match event {
             Ok(LinearReadEvent::ReadRequest(need)) => {
@@ -85,7 +89,7 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Acquisiti
             }
             Ok(LinearReadEvent::Record { opcode: op::CHUNK, data }) => {
                 let Ok(Record::Chunk { header, data }) = parse_record(op::CHUNK, data) else {
-                    end.damaged_chunks += 1;
+                    messages.end.damaged_chunks += 1;
                     continue;
                 };
                 if ["zstd", "lz4"].contains(&header.compression.as_str()) {
@@ -101,12 +105,13 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Acquisiti
                     records(&data, header.uncompressed_crc).filter(|_| header.compression.is_empty());
                 let mut whole = records.is_some();
                 for (opcode, body) in records.into_iter().flatten() {
-                    whole &= topics.give(path, opcode, body, &mut take)?;
+                    whole &= messages.give(opcode, body, &mut take);
                 }
-                end.damaged_chunks += u64::from(!whole);
+                messages.end.damaged_chunks += u64::from(!whole);
             }
             Ok(LinearReadEvent::Record { opcode, data }) => {
-                end.damaged_chunks += u64::from(!topics.give(path, opcode, data, &mut take)?);
+                let whole = messages.give(opcode, data, &mut take);
+                messages.end.damaged_chunks += u64::from(!whole);
             }
             // A recorder that was killed before its first flush leaves an empty file, no other bytes.
             Err(mcap::McapError::BadMagic) if !begins_like_mcap(path)? => {
@@ -117,12 +122,12 @@ pub fn read(path: &Path, mut take: impl FnMut(Message)) -> Result<End, Acquisiti
                 ));
             }
             Err(e) => {
-                end.cut_off = Some(e.to_string());
+                messages.end.cut_off = Some(e.to_string());
                 break;
             }
         }
     }
-    Ok(end)
+    Ok(messages.end)
 }
 
 /// Operation code and body of each record of a chunk; none where it is damaged.
@@ -142,38 +147,77 @@ fn records(mut rest: &[u8], checksum: u32) -> Option<Vec<(u8, &[u8])>> {
     Some(records)
 }
 
-/// Topics of the channels seen so far.
+/// The messages of a file, given one by one.
 #[derive(Default)]
-struct Topics(HashMap<u16, String>);
+struct Messages {
+    /// Topics of the channels seen so far.
+    topics: HashMap<u16, String>,
+    given: Given,
+    end: End,
+}
 
-impl Topics {
+impl Messages {
     /// Notes a channel, or gives a message to `take`; false where the record is neither whole nor of a known channel (its channel stood in
     /// a damaged chunk).
-    fn give(
-        &mut self,
-        path: &Path,
-        opcode: u8,
-        body: &[u8],
-        take: &mut impl FnMut(Message),
-    ) -> Result<bool, AcquisitionError> {
+    fn give(&mut self, opcode: u8, body: &[u8], take: &mut impl FnMut(Message)) -> bool {
         // Of others nothing is read.
         if ![op::CHANNEL, op::MESSAGE].contains(&opcode) {
-            return Ok(true);
+            return true;
         }
         match parse_record(opcode, body) {
             Ok(Record::Channel(channel)) => {
-                self.0.insert(channel.id, channel.topic);
-                Ok(true)
+                self.topics.insert(channel.id, channel.topic);
             }
-            Ok(Record::Message { header, data }) => match self.0.get(&header.channel_id) {
-                Some(topic) => {
-                    take(decode(path, topic, header.log_time, &data)?);
-                    Ok(true)
+            Ok(Record::Message { header, data }) => {
+                let Some(topic) = self.topics.get(&header.channel_id) else { return false };
+                match decode(topic, header.log_time, &data) {
+                    Err(why) => self.end.refused.add(topic, why),
+                    Ok(message) if self.given.is_new(&message, (topic, header.log_time, &data)) => {
+                        take(message)
+                    }
+                    Ok(_) => self.end.repeated += 1,
                 }
-                None => Ok(false),
-            },
-            _ => Ok(false),
+            }
+            _ => return false,
         }
+        true
+    }
+}
+
+/// What was given so far: files are merged with copies of themselves, and each message counts once.
+#[derive(Default)]
+struct Given {
+    /// Runs of scans whose numbers follow each other: host time (ns) and number of the first, and of the last. A scan an entry would be most
+    /// of the file.
+    runs: BTreeMap<(u64, u64), (u64, u64)>,
+    /// First of the run that grew last.
+    newest: (u64, u64),
+    /// Hashes of all other messages.
+    others: HashSet<u64>,
+}
+
+impl Given {
+    /// Whether a message (also as topic, time and bytes) was not given before; it now was.
+    fn is_new(&mut self, message: &Message, bytes: (&str, u64, &[u8])) -> bool {
+        let Message::Scan(scan) = message else {
+            let mut hasher = DefaultHasher::new();
+            bytes.hash(&mut hasher);
+            return self.others.insert(hasher.finish());
+        };
+        // A unit that was started again counts anew, but later by the host's clock.
+        let own = (nanoseconds(scan.host_s), scan.serial);
+        let before = self.runs.range(..=own).next_back();
+        if before.is_some_and(|(_, last)| own.0 <= last.0 && own.1 <= last.1) {
+            return false;
+        }
+        match self.runs.get_mut(&self.newest) {
+            Some(last) if last.0 <= own.0 && last.1.checked_add(1) == Some(own.1) => *last = own,
+            _ => {
+                self.newest = own;
+                self.runs.insert(own, own);
+            }
+        }
+        true
     }
 }
 
@@ -187,21 +231,12 @@ fn begins_like_mcap(path: &Path) -> Result<bool, AcquisitionError> {
 }
 
 /// Why a message is none: its bytes, or a number in it.
+#[derive(Debug, thiserror::Error)]
 enum BadMessage {
-    Bytes(prost::DecodeError),
-    Number(OutOfRange),
-}
-
-impl From<prost::DecodeError> for BadMessage {
-    fn from(error: prost::DecodeError) -> Self {
-        Self::Bytes(error)
-    }
-}
-
-impl From<OutOfRange> for BadMessage {
-    fn from(error: OutOfRange) -> Self {
-        Self::Number(error)
-    }
+    #[error("expected a message of its schema, found {0}")]
+    Bytes(#[from] prost::DecodeError),
+    #[error(transparent)]
+    Number(#[from] OutOfRange),
 }
 
 /// A message whose numbers are in their ranges.
@@ -211,38 +246,23 @@ fn checked<M: RecordedMessage>(bytes: &[u8]) -> Result<M, BadMessage> {
     Ok(message)
 }
 
-fn decode(path: &Path, topic: &str, log_time: u64, bytes: &[u8]) -> Result<Message, AcquisitionError> {
-    let bad = |e: BadMessage| {
-        let place = format!("{}: {}", path.display(), brief(topic));
-        match e {
-            BadMessage::Bytes(e) => AcquisitionError::input(place, "a message of its schema", e.to_string()),
-            BadMessage::Number(e) => {
-                AcquisitionError::input(format!("{place}: {}", e.key), e.expected, e.found)
-            }
-        }
-    };
+fn decode(topic: &str, log_time: u64, bytes: &[u8]) -> Result<Message, BadMessage> {
+    let host_s = log_time as f64 * 1e-9;
     Ok(match topic {
-        topic::SCAN => Message::Scan(checked(bytes).map_err(bad)?),
-        topic::STAGE => Message::Stage(checked(bytes).map_err(bad)?),
-        topic::EVENT => Message::Event(checked(bytes).map_err(bad)?),
-        topic::FRAME => Message::Frame(checked(bytes).map_err(bad)?),
-        other => {
-            let host_s = log_time as f64 * 1e-9;
-            if let Some(name) = other.strip_prefix(topic::POSE_PICTURE) {
-                let picture = CompressedImage::decode(bytes).map_err(|e| bad(e.into()))?;
-                return Ok(Message::PosePicture(name.to_owned(), log_time, picture.data));
+        topic::SCAN => Message::Scan(checked(bytes)?),
+        topic::STAGE => Message::Stage(checked(bytes)?),
+        topic::EVENT => Message::Event(checked(bytes)?),
+        topic::FRAME => Message::Frame(checked(bytes)?),
+        other => match (other.strip_prefix(topic::POSE_PICTURE), other.strip_prefix(topic::CAMERA)) {
+            (Some(name), _) => {
+                Message::PosePicture(name.to_owned(), log_time, CompressedImage::decode(bytes)?.data)
             }
-            match other.strip_prefix(topic::CAMERA) {
-                Some(name) => {
-                    let at =
-                        PictureTime::decode(bytes).map_err(|e| bad(e.into()))?.timestamp.unwrap_or_default();
-                    let at_s = at.seconds as f64 + f64::from(at.nanos) * 1e-9;
-                    judge_timestamp(at_s).map_err(|e| bad(e.into()))?;
-                    Message::Picture(name.to_owned(), host_s, at_s)
-                }
-                None => Message::Other(other.to_owned(), host_s),
+            (_, Some(name)) => {
+                let at_s = picture_time_s(PictureTime::decode(bytes)?.timestamp)?;
+                Message::Picture(name.to_owned(), host_s, at_s)
             }
-        }
+            _ => Message::Other(other.to_owned(), host_s),
+        },
     })
 }
 

@@ -6,11 +6,15 @@ use serde::Deserialize;
 use wcal_core::document::from_toml;
 use wcal_core::observation::WHISKER_RANGES;
 pub use wcal_core::rig_devices::RIG_FORMAT;
-use wcal_core::rig_devices::{CameraRig, GratingRig, InterrogatorRig, MountRig, RIG_RANGES, StageRig};
+use wcal_core::rig_devices::{
+    CameraRig, GratingRig, GrooveRig, InterrogatorRig, MountRig, RIG_RANGES, StageDriver, StageRig, TagRig,
+};
+use wcal_core::rigid::RigidPose;
 use wcal_session::SessionError;
 
-/// A rig; keys of other programs (tags, groove, camera calibration) are kept, not read.
+/// A rig.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Rig {
     /// `wcal-rig/1`.
     pub format: String,
@@ -45,14 +49,20 @@ pub struct Rig {
     /// Where the base is in the world; only `wcal track` reads it.
     #[serde(default)]
     pub base: Option<BaseRig>,
+    /// AprilTags on base and rig; only pictures need them.
+    #[serde(default)]
+    pub tags: Vec<TagRig>,
+    /// The V-groove; only pictures need it.
+    #[serde(default)]
+    pub groove: Option<GrooveRig>,
 }
 
 /// Where the whisker's base is in the world, and what carries it.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BaseRig {
-    /// 4 x 4, mm: takes base coordinates to the world's, at `stage_mm = 0` where the stage carries the base.
-    pub world_from_base: [[f64; 4]; 4],
+    /// Takes base coordinates to the world's, at `stage_mm = 0` where the stage carries the base.
+    pub world_from_base: RigidPose,
     /// Direction in which the stage carries the base, base frame; absent: the base stands still.
     pub carried_along: Option<[f64; 3]>,
 }
@@ -130,6 +140,13 @@ impl Rig {
         }
         let gratings = &rig.interrogator.grating;
         for (k, a) in gratings.iter().enumerate() {
+            if !GRATINGS.contains(&a.name.as_str()) {
+                return fail("interrogator.grating.name", &GRATINGS.join(" or "), a.name.clone());
+            }
+            let again = |b: &GratingRig| a.whisker == b.whisker && a.name == b.name;
+            if gratings[..k].iter().any(again) {
+                return fail("interrogator.grating", "each grating of a whisker once", a.name.clone());
+            }
             // Within a whisker a stray peak is seen scan by scan; between whiskers it would be taken for the other's.
             let overlaps = |b: &&GratingRig| (a.nominal_nm - b.nominal_nm).abs() <= a.window_nm + b.window_nm;
             let other = |b: &&GratingRig| a.whisker != b.whisker && a.channel == b.channel;
@@ -147,10 +164,15 @@ impl Rig {
         if let Some(camera) = rig.camera.iter().find(|c| odd(&c.name)) {
             return fail("camera.name", "letters, digits, - and _, and not \"holdout\"", camera.name.clone());
         }
-        for (k, t) in rig.trajectory.iter().enumerate() {
-            if !(Vector3::from(t.direction).norm() > 1e-6) {
-                return fail("trajectory.direction", "a direction", format!("{:?}", t.direction));
+        let directions = rig.trajectory.iter().map(|t| ("trajectory.direction", t.direction));
+        let carried = rig.base.as_ref().and_then(|b| b.carried_along);
+        let directions = directions.chain(carried.map(|along| ("base.carried_along", along)));
+        for (field, direction) in directions {
+            if !(Vector3::from(direction).norm() > 1e-6) {
+                return fail(field, "a direction", format!("{direction:?}"));
             }
+        }
+        for (k, t) in rig.trajectory.iter().enumerate() {
             if rig.trajectory[..k].iter().any(|other| other.id == t.id) {
                 return fail("trajectory.id", "different identifiers", t.id.to_string());
             }
@@ -169,12 +191,15 @@ impl Rig {
     }
 }
 
+/// Names of a whisker's gratings: the reference, which carries no strain, and the two that do.
+const GRATINGS: [&str; 3] = ["fbg_ref", "fbg_1", "fbg_2"];
+
 /// The highest address of a unit on an ASCII chain.
 const ASCII_ADDRESSES: u8 = 99;
 
 /// What is wrong with the addresses of stage and mount: field, expected, found.
 fn addresses_that_clash(stage: &StageRig, mount: &MountRig) -> Option<(&'static str, &'static str, String)> {
-    let ascii = stage.driver != "zaber-binary";
+    let ascii = stage.driver == StageDriver::ZaberAscii;
     if ascii && stage.address > ASCII_ADDRESSES {
         return Some(("stage.address", "a whole number between 1 and 99", stage.address.to_string()));
     }
@@ -300,7 +325,31 @@ shear_gpa = 28.2
 
     #[test]
     fn rigs_that_make_no_sense_are_refused_by_field() {
+        let more = "[[tags]]\nid = 0\nfamily = \"tag36h11\"\nsize_mm = 10\nbody = \"base\"\nbase_from_tag = [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]\n\
+                    [groove]\nhalf_angle_deg = 45\ntag = 0\n[base]\nworld_from_base = [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]\ncarried_along = [0,0,1]\n\
+                    [[camera]]\nname = \"l\"\ndriver = \"net\"\nsource = \"x:1\"\n[[camera]]\nname = \"r\"\ndriver = \"net\"\nsource = \"x:2\"\n";
+        let whole = format!("{RIG}{more}");
+        Rig::parse("rig.toml", &whole).unwrap();
         for (from, to, field) in [
+            (
+                "\"fbg_ref\"",
+                "\"fbg_reff\"",
+                "grating.name: expected fbg_ref or fbg_1 or fbg_2, found fbg_reff",
+            ),
+            ("\"fbg_ref\"", "\"fbg_1\"", "each grating of a whisker once"),
+            ("zaber-ascii", "foo", "`zaber-ascii`"),
+            ("\"sm130\"", "\"foo\"", "`hyperion`"),
+            ("\"net\"", "\"foo\"", "`v4l2`"),
+            ("source = \"x:1\"", "source = \"x:1\"\nexposure_mss = 2.0", "exposure_mss"),
+            ("half_angle_deg = 45", "half_angle_deg = \"x\"", "half_angle_deg"),
+            ("half_angle_deg = 45", "half_angle = 45", "half_angle"),
+            ("[groove]", "[grove]", "grove"),
+            ("id = 0", "id = \"a\"", "id"),
+            ("tag36h11", "-1", "expected one of the families"),
+            ("\"base\"", "\"bsae\"", "`base`"),
+            ("base_from_tag = [[1", "base_from_tag = [[2", "rigid"),
+            ("world_from_base = [[1", "world_from_base = [[2", "rigid"),
+            ("carried_along = [0,0,1]", "carried_along = [0,0,0]", "base.carried_along"),
             ("wcal-rig/1", "wcal-rig/2", "format"),
             ("[0, 40]", "[40, 0]", "soft_limits_mm"),
             ("[0, 40]", "[0, 400]", "soft_limits_mm"),
@@ -319,7 +368,7 @@ shear_gpa = 28.2
                 "camera",
             ),
         ] {
-            let error = Rig::parse("rig.toml", &RIG.replace(from, to)).unwrap_err().to_string();
+            let error = Rig::parse("rig.toml", &whole.replace(from, to)).unwrap_err().to_string();
             assert!(error.contains(field), "{field}: {error}");
         }
     }

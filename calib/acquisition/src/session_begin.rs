@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use wcal_core::files::write_atomic;
+use wcal_core::files::{remove_abandoned, write_atomic};
 use wcal_core::lock::{FileLock, LockError};
 use wcal_core::rig_devices::StageRig;
 
@@ -45,6 +45,7 @@ pub(crate) struct OwnedSessionFolder {
     made: Vec<PathBuf>,
     kept: bool,
     lock: Option<FileLock>,
+    reserve: Option<fs::File>,
 }
 
 impl OwnedSessionFolder {
@@ -54,7 +55,8 @@ impl OwnedSessionFolder {
     /// When another sweep records there, or something else is there.
     pub(crate) fn open(request: &RecordRequest) -> Result<(Self, BTreeSet<u32>), AcquisitionError> {
         let folder = &request.folder;
-        let mut begun = Self { folder: folder.clone(), made: Vec::new(), kept: false, lock: None };
+        let mut begun =
+            Self { folder: folder.clone(), made: Vec::new(), kept: false, lock: None, reserve: None };
         if !request.resume {
             begun.make_folder()?;
         }
@@ -76,19 +78,20 @@ impl OwnedSessionFolder {
     /// When the disk is full.
     pub(crate) fn reserve(&mut self, bytes: u64) -> Result<(), AcquisitionError> {
         let path = self.folder.join(RESERVE);
-        let create = || fs::File::create(&path).map_err(AcquisitionError::io("creating", &path));
-        let zeros = std::io::copy(&mut std::io::repeat(0).take(bytes), &mut create()?);
-        zeros.map(drop).map_err(|e| {
-            // What was written of it would block the next attempt.
-            let _ = fs::remove_file(&path);
-            AcquisitionError::io("writing", &path)(e)
-        })
+        let mut file = fs::File::create_new(&path).map_err(AcquisitionError::io("creating", &path))?;
+        // It is nobody's to tidy away.
+        let _ = file.try_lock();
+        let zeros = std::io::copy(&mut std::io::repeat(0).take(bytes), &mut file);
+        self.reserve = Some(file);
+        zeros.map(drop).map_err(|e| AcquisitionError::io("writing", &path)(e))
     }
 
     /// Gives the reserved space back.
     pub(crate) fn release(&mut self) {
-        // Nothing was reserved, or it goes with the folder.
-        let _ = fs::remove_file(self.folder.join(RESERVE));
+        if self.reserve.take().is_some() {
+            // What cannot be removed is tidied away by the next run.
+            let _ = fs::remove_file(self.folder.join(RESERVE));
+        }
     }
 
     /// Something was recorded: it stays.
@@ -112,6 +115,7 @@ impl OwnedSessionFolder {
         let lock = FileLock::take(&self.folder.join(LOCK), &purpose);
         let place = self.folder.display().to_string();
         self.lock = Some(lock.map_err(|e| held(e, place, "a session that no sweep records now"))?);
+        remove_abandoned(&self.folder);
         Ok(())
     }
 
@@ -158,7 +162,7 @@ impl Drop for OwnedSessionFolder {
 ///
 /// # Errors
 /// Who drives it.
-pub(crate) fn stage_lock(rig: &StageRig, session: &Path) -> Result<FileLock, AcquisitionError> {
+pub(crate) fn stage_lock(rig: &StageRig, session: &Path) -> Result<Vec<FileLock>, AcquisitionError> {
     let lock = FileLock::of_port(&rig.port, &purpose(session));
     lock.map_err(|e| held(e, format!("stage {}", rig.port), "a stage that no other program drives"))
 }

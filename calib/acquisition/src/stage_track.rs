@@ -3,6 +3,7 @@
 use crate::clocks::ClockFit;
 use crate::message::StagePosition;
 use crate::plan::ARRIVAL_MM;
+use std::ops::Range;
 
 /// Answers of the stage this near to a time tell its place and speed then, s; and how many do.
 const NEAR_S: f64 = 0.025;
@@ -19,19 +20,28 @@ pub(crate) struct Track {
 
 impl Track {
     pub(crate) fn new(stage: &[StagePosition], fit: &ClockFit, zero_mm: f64) -> Self {
+        // A file has its messages in any order.
+        let mut stage: Vec<&StagePosition> = stage.iter().collect();
+        stage.sort_by(|a, b| a.host_s.total_cmp(&b.host_s));
         let points = stage.iter().map(|r| (fit.device_s(r.host_s), r.measured_mm - zero_mm)).collect();
         Self { points, moving: stage.iter().map(|r| r.moving).collect() }
     }
 
+    /// The answers that tell where the stage was in a settled window: those inside, or where it did not answer the two around it.
+    fn answers(&self, begin_s: f64, end_s: f64) -> Option<Range<usize>> {
+        let end_s = end_s - NEXT_MOVE_S.min((end_s - begin_s) / 4.0);
+        let from = self.points.partition_point(|p| p.0 < begin_s);
+        // A damaged window may end before it begins.
+        let to = self.points.partition_point(|p| p.0 <= end_s).max(from);
+        let answers = if from < to { from..to } else { from.checked_sub(1)?..to + 1 };
+        (answers.end <= self.points.len()).then_some(answers)
+    }
+
     /// Whether the stage moved in a settled window, or stood elsewhere than at `target_mm`, mm from its zero.
     pub(crate) fn has_left(&self, target_mm: f64, begin_s: f64, end_s: f64) -> bool {
-        let end_s = end_s - NEXT_MOVE_S.min((end_s - begin_s) / 4.0);
-        let (from, to) =
-            (self.points.partition_point(|p| p.0 < begin_s), self.points.partition_point(|p| p.0 <= end_s));
-        // A damaged window may end before it begins.
-        let inside = from..to.max(from);
-        let mut answers = self.points[inside.clone()].iter().zip(&self.moving[inside]);
-        answers.any(|((_, mm), moving)| *moving || (mm - target_mm).abs() > ARRIVAL_MM)
+        let Some(answers) = self.answers(begin_s, end_s) else { return true };
+        let mut depths_mm = self.points[answers.clone()].iter().map(|p| p.1);
+        self.moving[answers].contains(&true) || depths_mm.any(|mm| (mm - target_mm).abs() > ARRIVAL_MM)
     }
 
     /// Depth (mm) and speed (mm/s): the line through the answers around it, or between its neighbours where there are few; `None` outside the
@@ -56,15 +66,10 @@ impl Track {
         Some((mean_mm - speed * mean_s, speed))
     }
 
-    /// Mean depth over a window, or the nearest reading before its end, mm.
+    /// Mean depth in a settled window, mm.
     pub(crate) fn mean(&self, begin_s: f64, end_s: f64) -> Option<f64> {
-        let (from, to) =
-            (self.points.partition_point(|p| p.0 < begin_s), self.points.partition_point(|p| p.0 <= end_s));
-        if from < to {
-            let inside = &self.points[from..to];
-            return Some(inside.iter().map(|p| p.1).sum::<f64>() / inside.len() as f64);
-        }
-        self.points.get(to.saturating_sub(1)).map(|p| p.1)
+        let answers = &self.points[self.answers(begin_s, end_s)?];
+        Some(answers.iter().map(|p| p.1).sum::<f64>() / answers.len() as f64)
     }
 }
 
@@ -108,5 +113,34 @@ mod tests {
         // It goes on to the next pose while the window's last scans come in.
         let next = track(&|t| if t < 1.48 { (3.0, false) } else { (3.1, true) });
         assert!(!next.has_left(3.0, 0.5, 1.5));
+    }
+
+    /// A busy computer does not get to ask the stage: what it last said is of the pose before.
+    #[test]
+    fn a_window_without_an_answer_is_judged_by_the_answers_around_it() {
+        // A second at each of 1, 2, 3 ... mm, an answer every 20 ms but for some time; the last tenth of a second is the next move.
+        let track = |silent: std::ops::Range<f64>| {
+            let times = (0..500).map(|k| 0.02 * f64::from(k)).filter(|t| !silent.contains(t));
+            let at = |t: f64| (1.0 + t.floor() + 10.0 * (t.fract() - 0.9).max(0.0), t.fract() > 0.9);
+            let (points, moving) = times.map(|t| ((t, at(t).0), at(t).1)).unzip();
+            Track { points, moving }
+        };
+        // Window of the pose at 4 mm.
+        let judged = |silent| {
+            let track = track(silent);
+            (track.has_left(4.0, 3.3, 3.8), track.mean(3.3, 3.8))
+        };
+        let near = |mm: Option<f64>| mm.is_some_and(|mm| (mm - 4.0).abs() < 1e-9);
+        for (name, silent) in [
+            ("before and in it", 2.7..3.85),
+            ("in it and the next move", 3.2..3.95),
+            ("to the end", 3.2..11.0),
+        ] {
+            assert!(judged(silent).0, "{name}");
+        }
+        let (left, mm) = judged(3.2..3.85);
+        assert!(!left && near(mm), "negative control: it stands there before and after: {mm:?}");
+        let (left, mm) = judged(9.0..9.0);
+        assert!(!left && near(mm), "negative control: it always answers");
     }
 }

@@ -133,17 +133,20 @@ fn stream(
             }
             Err(e) => return Err(blame(e)),
         };
-        if !readings.is_empty() {
+        let mut recorded = Vec::with_capacity(readings.len());
+        for reading in readings {
+            if recorder.scan(&reading).map_err(|e| disk(&e))? {
+                recorded.push(reading);
+            }
+        }
+        if !recorded.is_empty() {
             heard = Deadline::uninterruptible(SILENCE);
         } else if heard.is_over() {
             let (kind, found) = (DeviceErrorKind::Timeout, format!("silence for {} s", SILENCE.as_secs()));
             return Err(blame(DeviceError::new(kind, "interrogator", "read the stream", "scans", found)));
         }
-        for reading in &readings {
-            recorder.scan(reading).map_err(|e| disk(&e))?;
-        }
         let mut monitor = lock(monitor);
-        readings.iter().for_each(|r| monitor.take(r));
+        recorded.iter().for_each(|r| monitor.take(r));
     }
     Ok(())
 }

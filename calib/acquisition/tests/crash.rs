@@ -1,6 +1,7 @@
 //! kill -9 while recording: a quarter of a second is lost at most, the file opens, and what it holds is whole.
 #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
 
+use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -9,7 +10,7 @@ use wcal_acquisition::message::Scan;
 use wcal_acquisition::recorder::Recorder;
 use wcal_acquisition::replay::{End, Message, read};
 use wcal_core::deadline::Deadline;
-use wcal_core::device::{Clocks, FbgReading};
+use wcal_core::device::{Clocks, FbgReading, StageReading};
 
 const RATE_HZ: f64 = 2000.0;
 /// Time after which the recorder passes on what it holds, s.
@@ -160,7 +161,7 @@ fn a_damaged_chunk_is_left_out_and_those_behind_it_are_read() {
     damaged[at + length - 20] ^= 0x10;
     std::fs::write(&path, &damaged).unwrap();
     let (found, end) = serials(&path);
-    assert_eq!(end, End { cut_off: None, damaged_chunks: 1 });
+    assert_eq!(end, End { damaged_chunks: 1, ..End::default() });
     let missing: Vec<u64> = (0..3000).filter(|k| !found.contains(k)).collect();
     assert!(!missing.is_empty() && missing.len() < 1000, "{} missing", missing.len());
     assert!(missing.windows(2).all(|p| p[1] == p[0] + 1) && found.contains(&0) && found.contains(&2999));
@@ -210,6 +211,91 @@ fn corrupt_lengths_neither_abort_nor_hide_what_is_readable() {
     }
     // Control: unchanged it is whole.
     assert_eq!(read(&|_| {}).1, End::default());
+}
+
+/// The same file with another number in place of one, and no checksums of chunks.
+fn with_number(bytes: &[u8], from: f64, to: f64) -> Vec<u8> {
+    let mut changed = bytes.to_vec();
+    for (at, _) in chunks(bytes) {
+        changed[at + 9 + 24..at + 9 + 28].fill(0);
+    }
+    let place = bytes.windows(8).position(|b| b == from.to_le_bytes()).unwrap();
+    changed[place..place + 8].copy_from_slice(&to.to_le_bytes());
+    changed
+}
+
+/// What the reader refuses the recorder does not write; where it stands in a file all the same, it costs itself alone.
+#[test]
+fn an_odd_number_of_a_device_costs_its_own_message() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("odd.mcap");
+    let odd = |serial: u64| -> FbgReading {
+        let mut reading = scan(serial);
+        match serial {
+            10 => reading.peaks_nm[0][1] = f64::INFINITY,
+            20 => reading.peaks_nm[0][0] = 1e30,
+            30 => reading.clocks.device_s = Some(1e300),
+            // What a unit sends in place of a peak that it does not have.
+            40 => reading.peaks_nm[0][2] = f64::NAN,
+            50 => reading.peaks_nm[0][1] = 1537.25,
+            _ => {}
+        }
+        reading
+    };
+    let recorder = Recorder::create(&path, Default::default()).unwrap();
+    let written = (0..100).filter(|serial| recorder.scan(&odd(*serial)).unwrap()).count();
+    let far = StageReading { measured_mm: 1e20, ..StageReading::default() };
+    assert!(!recorder.stage(&far).unwrap() && recorder.stage(&StageReading::default()).unwrap());
+    let said = recorder.refused().text().unwrap();
+    assert!(said.starts_with("4 messages") && said.contains("/fbg/scan: peaks_nm: expected"), "{said}");
+    recorder.finish().unwrap();
+    let (found, end) = serials(&path);
+    let without = |odd: &[u64]| -> Vec<u64> { (0..100).filter(|serial| !odd.contains(serial)).collect() };
+    assert_eq!((written, &found, &end), (97, &without(&[10, 20, 30]), &End::default()));
+    // Another program wrote it.
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, with_number(&bytes, 1537.25, f64::INFINITY)).unwrap();
+    let (found, end) = serials(&path);
+    assert_eq!(found, without(&[10, 20, 30, 50]));
+    let said = end.to_string();
+    assert!(!end.is_whole() && said.contains("1 messages") && said.contains("/fbg/scan: peaks_nm"), "{said}");
+    // Negative control: a number that the field may have.
+    std::fs::write(&path, with_number(&bytes, 1537.25, 1537.26)).unwrap();
+    assert_eq!(serials(&path), (without(&[10, 20, 30]), End::default()));
+}
+
+/// Files are merged with copies of themselves: message by message, chunk by chunk, or one behind the other.
+#[test]
+fn a_message_that_a_file_holds_again_is_given_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let (path, bytes) = (dir.path().join("merged.mcap"), std::fs::read(recorded(dir.path())).unwrap());
+    let own = chunks(&bytes);
+    let (first, (last, length)) = (own[0].0, own[own.len() - 1]);
+    let all: Vec<u64> = (0..3000).collect();
+    let merged = |parts: Vec<&[u8]>| {
+        std::fs::write(&path, parts.concat()).unwrap();
+        serials(&path)
+    };
+    let (head, body, tail) = (&bytes[..first], &bytes[first..last + length], &bytes[last + length..]);
+    let each_twice = own.iter().flat_map(|(at, length)| [&bytes[*at..at + length]; 2]);
+    let (found, end) = merged([head].into_iter().chain(each_twice).chain([tail]).collect());
+    assert_eq!((&found, end.repeated), (&all, 3000));
+    // A copy that lacks a chunk, and the whole one behind it.
+    let (at, gone) = own[1];
+    let (found, end) = merged(vec![head, &bytes[first..at], &bytes[at + gone..last + length], body, tail]);
+    assert_eq!(found.iter().copied().collect::<BTreeSet<u64>>().len(), found.len());
+    assert!(found.len() == 3000 && (1000..3000).contains(&end.repeated), "{end:?}");
+    // Negative controls: once; and a unit that was started again counts from 0 again, later.
+    assert_eq!(merged(vec![head, body, tail]), (all, End::default()));
+    let again = dir.path().join("again.mcap");
+    let recorder = Recorder::create(&again, Default::default()).unwrap();
+    for k in 0..600 {
+        let mut reading = scan(k % 300);
+        reading.clocks.host_s = 1e9 + k as f64 / RATE_HZ;
+        recorder.scan(&reading).unwrap();
+    }
+    recorder.finish().unwrap();
+    assert_eq!((serials(&again).0.len(), serials(&again).1), (600, End::default()));
 }
 
 /// Not a test of its own: the process that is stopped. It waits for what never comes, and says how long it did.

@@ -1,6 +1,9 @@
 //! A rig whose devices are those of a virtual bench: served at addresses, or within this process.
 
 use anyhow::{Result, anyhow, ensure};
+use std::path::Path;
+use wcal_acquisition::reduce::recordings;
+use wcal_acquisition::replay::{Message, read};
 
 /// Puts the addresses of a virtual bench into a rig.
 pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
@@ -41,9 +44,18 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
     Ok(toml::to_string(&rig)?)
 }
 
-/// The rig of a bench in this process: nobody else drives its stage, its time is the rig's, and it draws no pictures.
-pub(super) fn in_this_process(rig: &str) -> Result<String> {
+/// The rig of a bench in this process: nobody else drives its stage, its time is the rig's, its rate is the scenario's, and it draws no
+/// pictures.
+pub(super) fn in_this_process(rig: &str, own_hz: f64) -> Result<String> {
     let mut rig = wcal_core::document::toml(rig)?;
+    let stated = rig.get("interrogator").and_then(|i| i.get("rate_hz"));
+    if let Some(rig_hz) = stated.and_then(|hz| hz.as_float().or(hz.as_integer().map(|hz| hz as f64))) {
+        ensure!(
+            (own_hz - rig_hz).abs() <= 1e-6 * own_hz,
+            "interrogator.rate_hz: expected the scenario's {own_hz} Hz, found {rig_hz}: change it, or rate_hz under [interrogator] of the \
+             scenario"
+        );
+    }
     rig.remove("clock_scale");
     if rig.remove("camera").is_some() {
         eprintln!(
@@ -54,4 +66,17 @@ pub(super) fn in_this_process(rig: &str) -> Result<String> {
         stage.insert("port".to_owned(), format!("in-process:{}", std::process::id()).into());
     }
     Ok(toml::to_string(&rig)?)
+}
+
+/// How far the bench's time of earlier runs of a session is ahead of the wall's, s: a bench in this process goes on after them.
+pub(super) fn ahead_s(session: &Path) -> Result<f64> {
+    let mut last_s = f64::NEG_INFINITY;
+    for part in recordings(session) {
+        read(&part, |message| {
+            if let Message::Scan(scan) = message {
+                last_s = last_s.max(scan.host_s);
+            }
+        })?;
+    }
+    Ok(last_s - jiff::Timestamp::now().as_duration().as_secs_f64())
 }

@@ -50,10 +50,13 @@ impl FeedInput {
     /// When the disk does not take them.
     pub fn scans(&self, readings: Vec<FbgReading>) -> Result<bool, AcquisitionError> {
         let mut line = self.line.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(recorder) = &self.recorder {
-            readings.iter().try_for_each(|r| recorder.scan(r))?;
+        let mut taken = Vec::with_capacity(readings.len());
+        for reading in readings {
+            if self.recorder.as_ref().map_or(Ok(true), |recorder| recorder.scan(&reading))? {
+                taken.push(reading);
+            }
         }
-        for batch in readings.chunks(BATCH) {
+        for batch in taken.chunks(BATCH) {
             match line.sender.try_send(FeedItem::Scans(batch.to_vec(), line.dropped[0])) {
                 Ok(()) => line.dropped[0] = 0,
                 Err(TrySendError::Full(_)) => line.dropped = line.dropped.map(|n| n + batch.len() as u64),

@@ -155,7 +155,10 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
     let dropped = intake.dropped();
     drop(intake);
     match recorder.map(Arc::try_unwrap) {
-        Some(Ok(recorder)) => recorder.finish()?,
+        Some(Ok(recorder)) => {
+            recorder.refused().text().iter().for_each(|text| eprintln!("warning: {text}"));
+            recorder.finish()?;
+        }
         Some(Err(_)) => bail!("recording: a thread still holds it"),
         None => {}
     }

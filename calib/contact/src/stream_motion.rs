@@ -8,13 +8,12 @@
 //!
 //! A row's moments went through a low-pass; the motion is averaged by the same weights.
 
-use crate::ContactError;
 use crate::known_motion::{MotionLog, MotionUnknown};
 use crate::reading::RowMotion;
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Rotation3, Vector3};
 use std::collections::BTreeMap;
 use wcal_acquisition::message::SweepEvent;
-use wcal_acquisition::rig::Rig;
+use wcal_acquisition::rig::{BaseRig, Rig};
 use wcal_track::stream::{BaseMotion, BasePose};
 
 /// Times at which a motion is averaged over the filter.
@@ -45,24 +44,17 @@ pub struct StreamMotion {
 
 impl StreamMotion {
     /// Of a rig; a log takes the place of its stage.
-    ///
-    /// # Errors
-    /// Where the rig's base cannot be used.
-    pub fn new(
-        place: &str,
-        rig: &Rig,
-        base_mm_s: Option<f64>,
-        log: Option<MotionLog>,
-    ) -> Result<Self, ContactError> {
-        Ok(Self {
-            base: base_motion(place, rig)?,
+    pub fn new(rig: &Rig, base_mm_s: Option<f64>, log: Option<MotionLog>) -> Self {
+        let carried = |b: &BaseRig| BaseMotion::new(b.world_from_base.0, b.carried_along.map(Vector3::from));
+        Self {
+            base: rig.base.as_ref().map(carried),
             base_mm_s,
             groove: None,
             mounts: 0,
             trajectories: rig.trajectory.iter().map(|t| (t.id, Vector3::from(t.direction))).collect(),
             zero_mm: rig.stage.zero_mm,
             log,
-        })
+        }
     }
 
     /// Takes a position of the stage, mm, at a time since the first scan, s.
@@ -145,24 +137,4 @@ impl StreamMotion {
 /// Times and weights over which the motion of a row is averaged.
 pub fn kernel<const N: usize>(filter: &wcal_track::stream::LowPass<N>) -> Vec<(f64, f64)> {
     filter.kernel(KERNEL)
-}
-
-/// Motion of the base where the rig says where it is.
-fn base_motion(place: &str, rig: &Rig) -> Result<Option<BaseMotion>, ContactError> {
-    let Some(base) = &rig.base else { return Ok(None) };
-    let m = base.world_from_base;
-    let turn = Matrix3::from_fn(|i, j| m[i][j]);
-    let sound = (turn * turn.transpose() - Matrix3::identity()).norm() < 1e-3 && turn.determinant() > 0.0;
-    if !sound || m[3] != [0.0, 0.0, 0.0, 1.0] {
-        let what = format!("{place}: base.world_from_base");
-        return Err(ContactError::value(what, "a rotation and a shift in mm", format!("{m:?}")));
-    }
-    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix(&turn));
-    let at_zero = Isometry3::from_parts(Translation3::new(m[0][3], m[1][3], m[2][3]), turn);
-    let flat = |a: [f64; 3]| a.iter().any(|x| !x.is_finite()) || Vector3::from(a).norm() <= 1e-6;
-    if base.carried_along.is_some_and(flat) {
-        let what = format!("{place}: base.carried_along");
-        return Err(ContactError::value(what, "a direction", format!("{:?}", base.carried_along)));
-    }
-    Ok(Some(BaseMotion::new(at_zero, base.carried_along.map(Vector3::from))))
 }

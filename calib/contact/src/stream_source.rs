@@ -114,7 +114,7 @@ impl<'a> StreamSource<'a> {
         let (all, tracks) = both.into_iter().unzip();
         let own = Self {
             all,
-            motion: StreamMotion::new(place, rig, stream.base_mm_s, log)?,
+            motion: StreamMotion::new(rig, stream.base_mm_s, log),
             stream,
             clocks: ClockPair::default(),
             clock_watch: ClockWatch::new(rig.clock_scale),

@@ -41,6 +41,22 @@ impl Signal {
             Self::HangUp => "SIGHUP",
         }
     }
+
+    /// Exit code of a program that it ended, by the shell's custom: 128 and the signal's number.
+    pub fn exit_code(self) -> u8 {
+        match self {
+            Self::CtrlC => 130,
+            Self::Terminate => 143,
+            Self::HangUp => 129,
+        }
+    }
+
+    /// The one that an error of [`Interrupt::check`] states.
+    pub fn of(error: &DeviceError) -> Option<Self> {
+        let stated =
+            |signal: &Self| error.kind == DeviceErrorKind::Interrupted && error.found == signal.name();
+        Self::ALL.into_iter().find(stated)
+    }
 }
 
 /// Whether somebody wants an end; shared by all who wait.

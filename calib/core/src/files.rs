@@ -91,7 +91,7 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     let fail = FileError::of("writing", path);
     let folder = folder_of(path);
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".wcal-").suffix(".tmp");
+    builder.prefix(HALF_WRITTEN[0]).suffix(HALF_WRITTEN[1]);
     #[cfg(unix)]
     {
         // The umask narrows this; the default of a temporary file would lock other readers out.
@@ -99,10 +99,32 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
         builder.permissions(fs::Permissions::from_mode(0o666));
     }
     let mut file = builder.tempfile_in(folder).map_err(&fail)?;
+    // Whoever tidies the folder meanwhile sees that somebody is at work; a file system without locks tidies nothing.
+    let _ = file.as_file().try_lock();
     file.write_all(bytes).map_err(&fail)?;
     file.as_file().sync_all().map_err(&fail)?;
     file.persist(path).map_err(|e| fail(e.error))?;
     sync_folder(folder)
+}
+
+/// Begin and end of the names of files and folders that are being written.
+pub const HALF_WRITTEN: [&str; 2] = [".wcal-", ".tmp"];
+
+/// Removes what programs that were killed left half-written in a folder: what nobody holds locked any more.
+pub fn remove_abandoned(folder: &Path) {
+    // What cannot be read or removed stays: it is in nobody's way.
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let (name, path) = (entry.file_name(), entry.path());
+        let name = name.to_string_lossy();
+        let plain = entry.file_type().is_ok_and(|kind| kind.is_file() || kind.is_dir());
+        if plain
+            && name.starts_with(HALF_WRITTEN[0])
+            && name.ends_with(HALF_WRITTEN[1])
+            && fs::File::open(&path).is_ok_and(|file| file.try_lock().is_ok())
+        {
+            let _ = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+        }
+    }
 }
 
 /// Brings the names in a folder onto the disk: a rename is only durable once its folder is.
@@ -153,5 +175,26 @@ mod tests {
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
         let error = write_atomic(&folder.path().join("missing/a.txt"), b"x").unwrap_err().to_string();
         assert!(error.starts_with("writing ") && error.contains("a.txt"), "{error}");
+    }
+
+    #[test]
+    fn what_a_killed_program_left_goes_and_what_is_being_written_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        fs::create_dir(path(".wcal-a1B2c3.tmp")).unwrap();
+        for name in
+            [".wcal-a1B2c3.tmp/points.csv", ".wcal-left99.tmp", ".wcal-reserve.tmp", "points.csv", ".wcal-x"]
+        {
+            fs::write(path(name), "x").unwrap();
+        }
+        let held = fs::File::create(path(".wcal-held00.tmp")).unwrap();
+        held.try_lock().unwrap();
+        remove_abandoned(folder.path());
+        let mut left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        left.sort();
+        assert_eq!(left, [".wcal-held00.tmp", ".wcal-x", "points.csv"]);
+        drop(held);
+        remove_abandoned(folder.path());
+        assert!(!path(".wcal-held00.tmp").exists(), "control: its program has ended");
     }
 }

@@ -22,6 +22,7 @@ pub mod ranges;
 pub mod repeats;
 pub mod residual;
 pub mod rig_devices;
+pub mod rigid;
 pub mod sealed;
 pub mod sealed_rows;
 pub mod shapes_document;

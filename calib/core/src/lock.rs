@@ -3,8 +3,10 @@
 //! The system gives the lock back when the process ends, however it ends: a file that was left behind locks nobody out.
 
 use crate::files::FileError;
+use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{ErrorKind, Read, Seek, Write};
+use std::io::{ErrorKind, Read, Write};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs, UdpSocket};
 use std::path::{Path, PathBuf};
 
 /// Longest text of a holder, bytes.
@@ -35,14 +37,24 @@ pub struct FileLock {
 }
 
 impl FileLock {
-    /// Locks `path`, which is made where it is missing; `purpose` is what another process is told, e.g. `stage-sweep of s1`.
+    /// Locks `path`, which is made anew; `purpose` is what another process is told, e.g. `stage-sweep of s1`.
     ///
     /// # Errors
-    /// [`LockError::Held`] with process and purpose of the holder.
+    /// [`LockError::Held`] with process and purpose of the holder, or what is there in place of a file.
     pub fn take(path: &Path, purpose: &str) -> Result<Self, LockError> {
         let fail = FileError::of("locking", path);
         for _ in 0..ATTEMPTS {
-            let mut file = open(path).map_err(&fail)?;
+            // Only a file that this process makes is written to: a name may be a link to somebody's file.
+            let made = OpenOptions::new().read(true).write(true).create_new(true).open(path);
+            let (mut file, own) = match made {
+                Ok(file) => (file, true),
+                Err(e) if e.kind() == ErrorKind::AlreadyExists => match open_plain(path) {
+                    Ok(file) => (file, false),
+                    Err(e) if e.kind() == ErrorKind::NotFound => continue,
+                    Err(e) => return Err(fail(e).into()),
+                },
+                Err(e) => return Err(fail(e).into()),
+            };
             match file.try_lock() {
                 Ok(()) => {}
                 Err(TryLockError::WouldBlock) => {
@@ -56,26 +68,30 @@ impl FileLock {
                 Err(TryLockError::Error(e)) if e.kind() == ErrorKind::Unsupported => {}
                 Err(TryLockError::Error(e)) => return Err(fail(e).into()),
             }
-            // The holder before may have removed the file between the two calls: a lock on a file without a name keeps nobody out.
-            if !is_at(&file, path) {
+            // The holder before may have removed the file between the two calls: a lock on a file without a name keeps nobody out. One that
+            // was left behind is removed; where another user's cannot be, it is locked without words.
+            if !is_at(&file, path) || !own && std::fs::remove_file(path).is_ok() {
                 continue;
             }
-            // The words are for people; a file of another user is locked without them.
-            let text = format!("process {} ({purpose})\n", std::process::id());
-            let _ =
-                file.set_len(0).and_then(|()| file.rewind()).and_then(|()| file.write_all(text.as_bytes()));
+            if own {
+                // The words are for people.
+                let _ = file.write_all(format!("process {} ({purpose})\n", std::process::id()).as_bytes());
+            }
             return Ok(Self { file, path: path.to_owned() });
         }
         Err(LockError::Held("another process".to_owned()))
     }
 
-    /// Locks a port for this machine: the path of a serial port, links resolved, or `host:port`.
+    /// Locks a port for this machine: the path of a serial port, links resolved, or every address that `host:port` stands for.
     ///
     /// # Errors
     /// As for [`FileLock::take`].
-    pub fn of_port(port: &str, purpose: &str) -> Result<Self, LockError> {
-        let name = crate::provenance::sha256_hex(same_port(port).as_bytes());
-        Self::take(&Path::new(PORT_LOCKS).join(format!("wcal-port-{}.lock", &name[..16])), purpose)
+    pub fn of_port(port: &str, purpose: &str) -> Result<Vec<Self>, LockError> {
+        let take = |name: &String| {
+            let hash = crate::provenance::sha256_hex(name.as_bytes());
+            Self::take(&Path::new(PORT_LOCKS).join(format!("wcal-port-{}.lock", &hash[..16])), purpose)
+        };
+        names_of(port).iter().map(take).collect()
     }
 }
 
@@ -87,19 +103,37 @@ impl Drop for FileLock {
     }
 }
 
-/// One name for one port.
-fn same_port(port: &str) -> String {
-    match port.strip_prefix("tcp://") {
-        Some(address) => format!("tcp://{}", address.to_lowercase().replace("localhost:", "127.0.0.1:")),
-        None => std::fs::canonicalize(port).map_or_else(|_| port.to_owned(), |p| p.display().to_string()),
+/// The names of a port, the same however it is written: the addresses behind a host's name, or the path behind links.
+fn names_of(port: &str) -> BTreeSet<String> {
+    let Some(address) = port.strip_prefix("tcp://") else {
+        let path = std::fs::canonicalize(port).map_or_else(|_| port.to_owned(), |p| p.display().to_string());
+        return BTreeSet::from([path]);
+    };
+    match address.to_socket_addrs() {
+        Ok(all) => {
+            all.map(|one| format!("tcp://{}", SocketAddr::new(host_of(one.ip()), one.port()))).collect()
+        }
+        // A name that nobody knows opens no link.
+        Err(_) => BTreeSet::from([port.to_lowercase()]),
     }
 }
 
-/// For reading and writing, or for reading where the file is another user's.
-fn open(path: &Path) -> std::io::Result<File> {
-    let mut options = OpenOptions::new();
-    options.read(true).write(true).create(true).truncate(false);
-    match options.open(path) {
+/// One address for a host: this machine's own are the loopback's.
+fn host_of(ip: IpAddr) -> IpAddr {
+    let ip = ip.to_canonical();
+    // Only an address of this machine can be bound.
+    let own = ip.is_loopback() || UdpSocket::bind((ip, 0)).is_ok();
+    if own { Ipv4Addr::LOCALHOST.into() } else { ip }
+}
+
+/// Opens a plain file, never what a link points to; for reading alone where it is another user's.
+fn open_plain(path: &Path) -> std::io::Result<File> {
+    let refuse =
+        || std::io::Error::new(ErrorKind::InvalidInput, "expected a plain file, found a link or a folder");
+    if !std::fs::symlink_metadata(path)?.is_file() {
+        return Err(refuse());
+    }
+    match OpenOptions::new().read(true).write(true).open(path) {
         Err(e) if e.kind() == ErrorKind::PermissionDenied => crate::files::open(path),
         other => other,
     }
@@ -109,7 +143,7 @@ fn open(path: &Path) -> std::io::Result<File> {
 #[cfg(unix)]
 fn is_at(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
-    let (Ok(own), Ok(there)) = (file.metadata(), std::fs::metadata(path)) else { return false };
+    let (Ok(own), Ok(there)) = (file.metadata(), std::fs::symlink_metadata(path)) else { return false };
     (own.dev(), own.ino()) == (there.dev(), there.ino())
 }
 
@@ -144,12 +178,44 @@ mod tests {
         let link = folder.path().join("by-id");
         std::os::unix::fs::symlink(&device, &link).unwrap();
         let [device, link] = [device, link].map(|p| p.display().to_string());
-        assert_eq!(same_port(&device), same_port(&link));
-        assert_eq!(same_port("tcp://LOCALHOST:5000"), same_port("tcp://127.0.0.1:5000"));
-        assert_ne!(same_port("tcp://localhost:5000"), same_port("tcp://localhost:5001"), "control");
+        assert_eq!(names_of(&device), names_of(&link));
+        let names = ["127.1", "0.0.0.0", "LOCALHOST", "127.0.0.1", "[::1]", "[::ffff:127.0.0.1]"];
+        for (host, port) in names.iter().flat_map(|host| [(host, "5000"), (host, "05000")]) {
+            assert_eq!(
+                names_of(&format!("tcp://{host}:{port}")),
+                names_of("tcp://127.0.0.1:5000"),
+                "{host}:{port}"
+            );
+        }
+        for other in ["127.0.0.1:5001", "192.0.2.7:5000", "[2001:db8::1]:5000"] {
+            assert!(
+                names_of(&format!("tcp://{other}")).is_disjoint(&names_of("tcp://localhost:5000")),
+                "control: {other}"
+            );
+        }
+        assert_eq!(names_of("tcp://[::ffff:192.0.2.7]:5000"), names_of("tcp://192.0.2.7:5000"));
         let held = FileLock::of_port(&device, "a").unwrap();
         assert!(matches!(FileLock::of_port(&link, "b"), Err(LockError::Held(_))));
         drop(held);
         FileLock::of_port(&link, "b").unwrap();
+    }
+
+    /// A session from elsewhere, or another user of this machine, may have laid a link where a lock is to be.
+    #[test]
+    fn what_a_link_in_place_of_a_lock_points_to_stays_as_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let [victim, link, hard] = ["victim", "link.lock", "hard.lock"].map(|name| folder.path().join(name));
+        std::fs::write(&victim, "kept").unwrap();
+        std::os::unix::fs::symlink(&victim, &link).unwrap();
+        let why = FileLock::take(&link, "sweep of s1").unwrap_err().to_string();
+        assert!(why.contains("link.lock") && why.contains("found a link"), "{why}");
+        std::fs::hard_link(&victim, &hard).unwrap();
+        drop(FileLock::take(&hard, "sweep of s1").unwrap());
+        // One that leads to nothing yet makes nothing.
+        let nowhere = folder.path().join("nowhere.lock");
+        std::os::unix::fs::symlink(folder.path().join("new"), &nowhere).unwrap();
+        assert!(FileLock::take(&nowhere, "sweep of s1").is_err());
+        assert!(!folder.path().join("new").exists());
+        assert_eq!(std::fs::read_to_string(&victim).unwrap(), "kept");
     }
 }

@@ -5,7 +5,9 @@
 use crate::clock::HostClock;
 use crate::device::{Camera, DeviceError, Interrogator, Mount, Stage};
 use crate::ranges::Range;
-use serde::Deserialize;
+use crate::rigid::RigidPose;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
 
 /// `format` of a rig file.
@@ -59,7 +61,7 @@ pub trait DeviceOpener {
     /// nothing.
     ///
     /// # Errors
-    /// `Configuration` for an unknown driver or a travel that is not the rig's, else what the unit reports.
+    /// `Configuration` for a travel that is not the rig's, else what the unit reports.
     fn stage(&mut self, rig: &StageRig, clock: HostClock) -> Result<Box<dyn Stage>, DeviceError>;
     /// A motorised mount, once the stage is open (both may hang on one line); `None` where the whisker is turned by hand.
     /// Moves nothing.
@@ -70,7 +72,7 @@ pub trait DeviceOpener {
     /// The interrogator.
     ///
     /// # Errors
-    /// `Configuration` for an unknown driver, else what the unit reports.
+    /// What the unit reports.
     fn interrogator(
         &mut self,
         rig: &InterrogatorRig,
@@ -79,7 +81,7 @@ pub trait DeviceOpener {
     /// One camera, its exposure and gain set.
     ///
     /// # Errors
-    /// `Configuration` for an unknown driver, else what the camera reports.
+    /// What the camera reports.
     fn camera(&mut self, rig: &CameraRig, clock: HostClock) -> Result<Box<dyn Camera + Send>, DeviceError>;
     /// Questions to the stage that had to be repeated so far.
     fn repeats(&self) -> u64;
@@ -97,8 +99,8 @@ fn half() -> f64 {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StageRig {
-    /// `zaber-ascii` or `zaber-binary`.
-    pub driver: String,
+    /// Protocol of the unit.
+    pub driver: StageDriver,
     /// `tcp://host:port` or the path of a serial port.
     pub port: String,
     /// Line speed; absent: probed.
@@ -127,6 +129,16 @@ pub struct StageRig {
     pub approach_mm: f64,
     /// Safe retract, mm relative to the zero (negative: away from the wire).
     pub retract_mm: f64,
+}
+
+/// Drivers of a stage.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StageDriver {
+    /// Zaber ASCII.
+    ZaberAscii,
+    /// Zaber binary, as T-series units speak it.
+    ZaberBinary,
 }
 
 /// How a position is reached.
@@ -167,8 +179,8 @@ pub enum MountRig {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct InterrogatorRig {
-    /// `sm130` or `hyperion`.
-    pub driver: String,
+    /// Protocol of the unit.
+    pub driver: InterrogatorDriver,
     /// `host:port` of the commands.
     pub address: String,
     /// `host:port` of the Hyperion's peaks.
@@ -177,6 +189,18 @@ pub struct InterrogatorRig {
     pub rate_hz: f64,
     /// Gratings: `fbg_ref`, `fbg_1`, `fbg_2`, of each whisker.
     pub grating: Vec<GratingRig>,
+}
+
+/// Drivers of an interrogator.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum InterrogatorDriver {
+    /// Micron Optics sm130.
+    Sm130,
+    /// Luna Hyperion.
+    Hyperion,
+    /// A recording, whose path is the address.
+    Replay,
 }
 
 impl InterrogatorRig {
@@ -214,13 +238,26 @@ pub struct GratingRig {
     pub whisker: String,
 }
 
-/// A camera. Keys that only other commands need (image size, calibration file) are kept, not read.
+/// Drivers of a camera.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CameraDriver {
+    /// A V4L2 device.
+    V4l2,
+    /// A camera behind TCP.
+    Net,
+    /// A folder of numbered pictures.
+    Folder,
+}
+
+/// A camera.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct CameraRig {
     /// Name, e.g. `left`; its pictures are recorded under it.
     pub name: String,
-    /// `v4l2`, `net` or `folder`.
-    pub driver: String,
+    /// Where pictures come from.
+    pub driver: CameraDriver,
     /// `/dev/videoN`, `host:port`, or a folder of numbered pictures.
     pub source: String,
     /// Pictures per second.
@@ -234,4 +271,66 @@ pub struct CameraRig {
     pub exposure_ms: Option<f64>,
     /// Gain, dB.
     pub gain_db: Option<f64>,
+    /// Its calibration, `stereo.json`; for people.
+    pub calibration_file: Option<String>,
+}
+
+/// Names of the families that can be detected. Kalibr prints those with a black border with one of two cells.
+pub const TAG_FAMILIES: [&str; 9] = [
+    "tag36h11",
+    "tag25h9",
+    "tag16h5",
+    "tagStandard41h12",
+    "tagStandard52h13",
+    "tagCircle21h7",
+    "tag36h11-border2",
+    "tag25h9-border2",
+    "tag16h5-border2",
+];
+
+/// An AprilTag on the bench.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TagRig {
+    /// Number.
+    pub id: u32,
+    /// Family, one of [`TAG_FAMILIES`].
+    #[serde(deserialize_with = "known_family")]
+    pub family: String,
+    /// Side of the black square, mm.
+    pub size_mm: f64,
+    /// What it is fixed to.
+    pub body: TagBody,
+    /// Pose in the base frame, for tags on the base.
+    pub base_from_tag: Option<RigidPose>,
+}
+
+/// What a tag is fixed to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TagBody {
+    /// The whisker's base.
+    Base,
+    /// The rig, which carries the groove.
+    Rig,
+}
+
+fn known_family<'de, D: Deserializer<'de>>(of: D) -> Result<String, D::Error> {
+    let family = String::deserialize(of)?;
+    let expected = || format!("expected one of the families {}, found {family}", TAG_FAMILIES.join(", "));
+    if TAG_FAMILIES.contains(&family.as_str()) { Ok(family) } else { Err(D::Error::custom(expected())) }
+}
+
+/// The V-groove, and the tag that carries it.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GrooveRig {
+    /// Number of the tag.
+    pub tag: Option<u32>,
+    /// Centre of the wire in the vertex, in that tag's frame, mm.
+    pub position_in_tag_mm: Option<[f64; 3]>,
+    /// Half angle of the V, degrees.
+    pub half_angle_deg: Option<f64>,
+    /// Extent along the wire, mm.
+    pub width_along_wire_mm: Option<f64>,
 }

@@ -18,7 +18,7 @@ use std::time::Instant;
 use wcal_acquisition::whisker_reader::WhiskerReader;
 use wcal_core::FbgSpec;
 use wcal_core::device::{Clocks, FbgReading, InterrogatorHealth};
-use wcal_core::rig_devices::{GratingRig, InterrogatorRig};
+use wcal_core::rig_devices::{GratingRig, InterrogatorDriver, InterrogatorRig};
 use wcal_map::{FitOptions, MapKind, MapPredictor, MapTraining, fit_map};
 use wcal_track::stream::{SignalChain, SignalChainSettings};
 
@@ -44,7 +44,7 @@ fn interrogator() -> InterrogatorRig {
     let names = ["fbg_ref", "fbg_1", "fbg_2"];
     let all = (0..WHISKERS).flat_map(|w| names.iter().enumerate().map(move |(k, n)| grating(w, k, n)));
     InterrogatorRig {
-        driver: "sm130".to_owned(),
+        driver: InterrogatorDriver::Sm130,
         address: String::new(),
         peaks_address: None,
         rate_hz: RATE_HZ,

@@ -1,21 +1,19 @@
 //! The parts of `rig.toml` that the pictures need: whisker, tags, groove.
 
 use crate::error::VisionError;
-use crate::rigid::pose_from_rows;
-use nalgebra::{Isometry3, Vector3};
-use serde::de::Error;
-use serde::{Deserialize, Deserializer};
+use nalgebra::Vector3;
+use serde::Deserialize;
 use std::path::Path;
 use wcal_core::document::{DocumentError, from_toml};
 use wcal_core::observation::WHISKER_RANGES;
-use wcal_core::rig_devices::{RIG_FORMAT, RIG_RANGES};
+use wcal_core::rig_devices::{GrooveRig, RIG_FORMAT, RIG_RANGES, TagRig};
 
 #[derive(Deserialize)]
 struct RigFile {
     whisker: WhiskerFile,
     #[serde(default)]
-    tags: Vec<RigTag>,
-    groove: Option<GrooveFile>,
+    tags: Vec<TagRig>,
+    groove: Option<GrooveRig>,
 }
 
 #[derive(Deserialize)]
@@ -24,14 +22,6 @@ struct WhiskerFile {
     length_mm: f64,
     straight_mm: Option<f64>,
     arc_radius_mm: Option<f64>,
-}
-
-#[derive(Deserialize)]
-struct GrooveFile {
-    tag: Option<u32>,
-    position_in_tag_mm: Option<[f64; 3]>,
-    half_angle_deg: Option<f64>,
-    width_along_wire_mm: Option<f64>,
 }
 
 /// Nominal whisker.
@@ -45,22 +35,6 @@ pub struct RigWhisker {
     pub straight_mm: f64,
     /// Curvature of the rest, 1/mm; 0 where the file states no radius.
     pub arc_curvature_per_mm: f64,
-}
-
-/// A tag of the rig.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-pub struct RigTag {
-    /// Number.
-    pub id: u32,
-    /// Family.
-    pub family: String,
-    /// Side of the black square, mm.
-    pub size_mm: f64,
-    /// `base`, `rig`.
-    pub body: String,
-    /// Pose in the base frame, for tags on the base.
-    #[serde(default, deserialize_with = "pose")]
-    pub base_from_tag: Option<Isometry3<f64>>,
 }
 
 /// The groove.
@@ -82,7 +56,7 @@ pub struct Rig {
     /// Whisker.
     pub whisker: RigWhisker,
     /// Tags.
-    pub tags: Vec<RigTag>,
+    pub tags: Vec<TagRig>,
     /// Groove, where described by a tag.
     pub groove: Option<RigGroove>,
     /// What the file says twice.
@@ -152,17 +126,9 @@ impl Rig {
     }
 }
 
-/// The rows of a rigid 4x4 transform.
-fn pose<'de, D: Deserializer<'de>>(of: D) -> Result<Option<Isometry3<f64>>, D::Error> {
-    let rows = <[[f64; 4]; 4]>::deserialize(of)?;
-    let found =
-        || D::Error::custom(format!("expected base_from_tag as a rigid 4x4 transform, found {rows:?}"));
-    pose_from_rows(&rows).map(Some).ok_or_else(found)
-}
-
 /// Counts a tag that is stated twice once.
-fn each_once(name: &str, stated: Vec<RigTag>) -> Result<(Vec<RigTag>, Vec<String>), VisionError> {
-    let (mut tags, mut remarks): (Vec<RigTag>, _) = (Vec::new(), Vec::new());
+fn each_once(name: &str, stated: Vec<TagRig>) -> Result<(Vec<TagRig>, Vec<String>), VisionError> {
+    let (mut tags, mut remarks): (Vec<TagRig>, _) = (Vec::new(), Vec::new());
     for tag in stated {
         match tags.iter().find(|t| t.id == tag.id && t.family == tag.family) {
             None => tags.push(tag),
@@ -174,7 +140,7 @@ fn each_once(name: &str, stated: Vec<RigTag>) -> Result<(Vec<RigTag>, Vec<String
                     name,
                     format!("one [[tags]] entry for {} {}", tag.family, tag.id),
                     format!(
-                        "two that differ (side {} and {} mm, body {} and {})",
+                        "two that differ (side {} and {} mm, body {:?} and {:?})",
                         other.size_mm, tag.size_mm, other.body, tag.body
                     ),
                 ));

@@ -1,6 +1,7 @@
 //! Rigid motions: local updates, Jacobians of rotated points, conversions.
 
-use nalgebra::{Isometry3, Matrix3, Matrix4, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix3, Matrix4, Translation3, UnitQuaternion, Vector3, Vector6};
+pub use wcal_core::rigid::{pose_from_parts, pose_from_rows};
 
 /// Cross-product matrix of a vector.
 pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
@@ -18,39 +19,8 @@ pub fn updated(pose: &Isometry3<f64>, step: &Vector6<f64>) -> Isometry3<f64> {
     )
 }
 
-/// A pose from a rotation matrix (made orthonormal) and a translation.
-pub fn pose_from_parts(rotation: &Matrix3<f64>, translation: &Vector3<f64>) -> Isometry3<f64> {
-    // Singular values rather than an iteration: exact also for a half turn.
-    let svd = rotation.svd(true, true);
-    let r = match (svd.u, svd.v_t) {
-        (Some(u), Some(v_t)) => {
-            let r = u * v_t;
-            if r.determinant() < 0.0 {
-                u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, -1.0)) * v_t
-            } else {
-                r
-            }
-        }
-        _ => Matrix3::identity(),
-    };
-    Isometry3::from_parts(
-        Translation3::from(*translation),
-        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(r)),
-    )
-}
-
 /// Rows of the 4x4 matrix, for JSON.
 pub fn rows(pose: &Isometry3<f64>) -> [[f64; 4]; 4] {
     let m: Matrix4<f64> = pose.to_homogeneous();
     std::array::from_fn(|i| std::array::from_fn(|j| m[(i, j)]))
-}
-
-/// A pose from the rows of a 4x4 matrix; none where it is no rigid motion (to 1e-3).
-pub fn pose_from_rows(m: &[[f64; 4]; 4]) -> Option<Isometry3<f64>> {
-    let r = Matrix3::from_fn(|i, j| m[i][j]);
-    let rigid = (r * r.transpose() - Matrix3::identity()).norm() < 1e-3
-        && r.determinant() > 0.0
-        && m[3] == [0.0, 0.0, 0.0, 1.0]
-        && m.iter().flatten().all(|v| v.is_finite());
-    rigid.then(|| pose_from_parts(&r, &Vector3::new(m[0][3], m[1][3], m[2][3])))
 }

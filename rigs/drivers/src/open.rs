@@ -12,7 +12,10 @@ use std::rc::Rc;
 use wcal_core::clock::HostClock;
 use wcal_core::deadline::Interrupt;
 use wcal_core::device::{Camera, DeviceError, DeviceErrorKind, Interrogator, Mount, Stage};
-use wcal_core::rig_devices::{CameraRig, DeviceOpener, InterrogatorRig, MountRig, StageRig};
+use wcal_core::rig_devices::{
+    CameraDriver, CameraRig, DeviceOpener, InterrogatorDriver, InterrogatorRig, MountRig, StageDriver,
+    StageRig,
+};
 
 /// Speeds of the factory: X-series, T-series.
 const ASCII_BAUD: u32 = 115_200;
@@ -165,18 +168,17 @@ impl DeviceOpener for Drivers {
         let unit = Microsteps { size_um: rig.microstep_um };
         // Who opens again wants to stop it, not to hear why it is silent.
         let first = self.chain.is_none() && self.line.is_none();
-        let mut stage: Box<dyn Stage> = match rig.driver.as_str() {
-            "zaber-ascii" => {
+        let mut stage: Box<dyn Stage> = match rig.driver {
+            StageDriver::ZaberAscii => {
                 let stage = ZaberStage::new(self.chain(rig)?, rig.address, rig.axis, unit, clock);
                 let why = |e| if first { self.absent(e, "stage", rig.address) } else { e };
                 Box::new(stage.map_err(why)?)
             }
-            "zaber-binary" => {
+            StageDriver::ZaberBinary => {
                 let stage = ZaberBinary::new(self.line(rig)?, unit, clock);
                 let why = |e| if first { self.not_binary(e, rig) } else { e };
                 Box::new(stage.map_err(why)?)
             }
-            other => return Err(wrong("stage", "driver zaber-ascii or zaber-binary", other)),
         };
         check_travel("stage", rig.travel_mm, stage.travel_mm()?[1])?;
         Ok(stage)
@@ -197,36 +199,34 @@ impl DeviceOpener for Drivers {
         rig: &InterrogatorRig,
         clock: HostClock,
     ) -> Result<Box<dyn Interrogator + Send>, DeviceError> {
-        match rig.driver.as_str() {
-            "sm130" => Ok(Box::new(Sm130::connect(&rig.address, rig.rate_hz, clock, &self.interrupt)?)),
-            "hyperion" => {
+        match rig.driver {
+            InterrogatorDriver::Sm130 => {
+                Ok(Box::new(Sm130::connect(&rig.address, rig.rate_hz, clock, &self.interrupt)?))
+            }
+            InterrogatorDriver::Hyperion => {
                 let peaks = rig.peaks_address.as_deref();
                 let peaks = peaks.ok_or_else(|| wrong("interrogator", "peaks_address", "none"))?;
                 let commands = &rig.address;
                 Ok(Box::new(Hyperion::connect(commands, peaks, rig.rate_hz, clock, &self.interrupt)?))
             }
-            other => Err(wrong("interrogator", "driver sm130, hyperion or replay", other)),
+            InterrogatorDriver::Replay => Err(wrong("interrogator", "a device", "a recording")),
         }
     }
 
     fn camera(&mut self, rig: &CameraRig, clock: HostClock) -> Result<Box<dyn Camera + Send>, DeviceError> {
-        let mut camera: Box<dyn Camera + Send> = match rig.driver.as_str() {
-            "net" => Box::new(NetCamera::connect(&rig.source, clock, &self.interrupt)?),
-            "folder" => {
+        let mut camera: Box<dyn Camera + Send> = match rig.driver {
+            CameraDriver::Net => Box::new(NetCamera::connect(&rig.source, clock, &self.interrupt)?),
+            CameraDriver::Folder => {
                 let period_s = 1.0 / rig.rate_hz.unwrap_or(10.0);
                 Box::new(FolderCamera::open(Path::new(&rig.source), period_s)?)
             }
-            "v4l2" => {
+            CameraDriver::V4l2 => {
                 let settings = V4l2Settings {
                     size_px: rig.image_size_px,
                     rate_hz: rig.rate_hz,
                     controls: rig.controls.clone().into_iter().collect(),
                 };
                 Box::new(V4l2Camera::open(&rig.source, &settings, clock, &self.interrupt)?)
-            }
-            other => {
-                let name = format!("camera {}", rig.name);
-                return Err(wrong(&name, "driver v4l2, net or folder", other));
             }
         };
         camera.configure(rig.exposure_ms, rig.gain_db)?;

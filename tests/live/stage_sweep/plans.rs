@@ -75,3 +75,44 @@ fn the_templates_are_a_rig_and_a_plan_that_fit() {
         }
     }
 }
+
+#[test]
+fn a_plan_of_one_or_two_readings_is_checked_and_shows_nothing() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let plan = folder.path().join("plan.toml");
+    let said = |depths: &str, rest: bool| {
+        let block = format!("trajectories = [1]\ndepths_mm = {depths}\nrest = {rest}");
+        let head = "format = \"wcal-plan/1\"\nname = \"few\"\n[[block]]\nrole = \"calibration\"";
+        std::fs::write(&plan, format!("{head}\n{block}\n")).expect("written");
+        let run = dry_run(&repository("rigs/virtual"), &plan, false);
+        assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+        assert!(text(&run.stdout).contains("limits hold"), "{}", text(&run.stdout));
+        text(&run.stderr)
+    };
+    for (depths, rest) in [("[1.0]", false), ("[1.0]", true), ("[1.0, 2.0]", false)] {
+        assert!(said(depths, rest).contains("so few readings show no effect"), "{depths} {rest}");
+    }
+    // Negative control.
+    assert!(!said("[1.0, 2.0]", true).contains("so few"));
+}
+
+#[test]
+fn a_rig_of_another_rate_than_the_scenario_is_named_before_anything_opens() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let scenario = folder.path().join("scenario.toml");
+    let run = |rate_hz: u32| {
+        let text = format!("format = \"wcal-scenario/1\"\n[interrogator]\nrate_hz = {rate_hz}\n");
+        std::fs::write(&scenario, text).expect("written");
+        let mut command = program();
+        command.arg("stage-sweep").arg("--dry-run").arg("--rig").arg(repository("rigs/virtual"));
+        command.arg("--plan").arg(repository("rigs/plans/paper-27.toml")).arg("--scenario").arg(&scenario);
+        command.output().expect("wcal runs")
+    };
+    let (other, message) = (run(500), text(&run(500).stderr));
+    assert_eq!(other.status.code(), Some(1), "{message}");
+    assert!(
+        message.contains("interrogator.rate_hz: expected the scenario's 500 Hz, found 2000"),
+        "{message}"
+    );
+    assert_eq!(run(2000).status.code(), Some(0), "negative control");
+}

@@ -68,8 +68,11 @@ fn kill(child: &Child, signal: &str) {
 
 /// Kind and text of the cause, and whether the stage was known to stand.
 pub(crate) fn cause(run: &Output) -> (String, String, bool) {
-    assert_eq!(run.status.code(), Some(1), "{}", text(&run.stderr));
     let sweep = document(run);
+    let said = sweep["cause"]["text"].as_str().expect("text");
+    let by_signal = [("by Ctrl-C", 130), ("by SIGTERM", 143), ("by SIGHUP", 129)];
+    let code = by_signal.iter().find(|(name, _)| said.contains(name)).map_or(1, |signal| signal.1);
+    assert_eq!(run.status.code(), Some(code), "{}", text(&run.stderr));
     assert_eq!(sweep["ending"], "stopped", "{sweep}");
     assert!(sweep["rows"].as_u64() > Some(0), "{sweep}");
     let word = |v: &Value| v.as_str().expect("text").to_owned();
@@ -339,4 +342,32 @@ fn a_bench_that_is_not_there_says_what_to_do() {
     open.kill().expect("killed");
     let said = text(&open.wait_with_output().expect("ends").stderr);
     assert!(!said.contains("input closed"), "{said}");
+}
+
+/// A bench in the sweep's own process ends with it: what is said goes on with another one, later by its clock.
+#[test]
+fn ctrl_c_ends_a_sweep_in_this_process_and_what_is_said_goes_on() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (session, plan) = (folder.path().join("s"), repository("rigs/plans/paper-27.toml"));
+    let sweep = |option: &str| {
+        let mut command = program();
+        command.arg("stage-sweep").arg("--rig").arg(repository("rigs/virtual")).arg("--plan").arg(&plan);
+        command.arg("--scenario").arg(repository("rigs/virtual/scenario.toml")).arg("--home");
+        command.arg(option).arg(&session).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    };
+    let child = sweep("--out").spawn().expect("wcal runs");
+    super::until_done(&session, 8);
+    kill(&child, "-INT");
+    let run = ended(child);
+    let said = text(&run.stderr);
+    assert_eq!(run.status.code(), Some(130), "{said}");
+    assert!(said.contains("go on with the same rig and plan, scenario, --home and --resume"), "{said}");
+    let run = sweep("--resume").output().expect("wcal runs");
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    let table = std::fs::read_to_string(session.join("points.csv")).expect("points.csv");
+    let times =
+        table.lines().skip(1).map(|line| line.split(',').nth(4).expect("t_s").parse::<f64>().expect("s"));
+    let times: Vec<f64> = times.collect();
+    assert!(times.len() == 36 && times.is_sorted(), "{times:?}");
 }

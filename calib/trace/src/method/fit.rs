@@ -32,8 +32,10 @@ pub(crate) fn linear(design: &DMatrix<f64>, y: &DMatrix<f64>) -> (DMatrix<f64>, 
     let qty = q.transpose() * y;
     let count = design.ncols();
     let mut b = DMatrix::zeros(count, y.ncols());
-    let mut full_rank = true;
-    for i in (0..count).rev() {
+    // Fewer readings than columns leave the last ones undetermined.
+    let determined = count.min(design.nrows());
+    let mut full_rank = determined == count;
+    for i in (0..determined).rev() {
         // A column that the earlier ones already span keeps the coefficient 0.
         if r[(i, i)].abs() < 1e-9 {
             full_rank = false;

@@ -9,7 +9,7 @@ use crate::error::{OpenCvContext, VisionError};
 use crate::homography::{homography, mapped};
 use crate::median::median;
 use crate::picture::Picture;
-use crate::tags::apriltag_ffi::{FAMILIES, WIDE_BORDER};
+use crate::tags::apriltag_ffi::WIDE_BORDER;
 use crate::tags::detection::{Search, Tag, find_tags};
 use crate::tags::tag_corners;
 use nalgebra::{Vector2, Vector3};
@@ -20,6 +20,7 @@ use opencv::aruco::{
 use opencv::core::{Mat, Point2f, Ptr, Vector};
 use std::collections::BTreeMap;
 use std::path::Path;
+use wcal_core::rig_devices::TAG_FAMILIES;
 
 /// A board ready for detection.
 #[derive(Clone)]
@@ -300,7 +301,7 @@ impl BoardLayout {
 /// `wanted` are missing they are searched for apart from the squares that touch them.
 fn board_tags(picture: &Picture, family: &str, wanted: usize) -> Result<Vec<Tag>, VisionError> {
     let wide = family.to_owned() + WIDE_BORDER;
-    let kinds = [family, &wide].into_iter().filter(|kind| *kind == family || FAMILIES.contains(kind));
+    let kinds = [family, &wide].into_iter().filter(|kind| *kind == family || TAG_FAMILIES.contains(kind));
     let mut best = Vec::new();
     for kind in kinds {
         let mut tags = find_tags(picture, kind, None, Search::Whole)?;

@@ -7,6 +7,7 @@ use apriltag_sys as sys;
 use std::cell::RefCell;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use wcal_core::rig_devices::TAG_FAMILIES;
 
 /// A detection as the library states it, its corners moved to pixel centres at integers.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,19 +26,6 @@ pub struct RawTag {
 
 type Create = unsafe extern "C" fn() -> *mut sys::apriltag_family_t;
 type Destroy = unsafe extern "C" fn(*mut sys::apriltag_family_t);
-
-/// Names of the families that can be detected. Kalibr prints those with a black border with one of two cells.
-pub const FAMILIES: [&str; 9] = [
-    "tag36h11",
-    "tag25h9",
-    "tag16h5",
-    "tagStandard41h12",
-    "tagStandard52h13",
-    "tagCircle21h7",
-    "tag36h11-border2",
-    "tag25h9-border2",
-    "tag16h5-border2",
-];
 
 /// Ends the name of a family whose black border is two cells wide.
 pub(crate) const WIDE_BORDER: &str = "-border2";
@@ -161,11 +149,11 @@ pub fn detect(
     regions: &[Region],
     min_contrast: u8,
 ) -> Result<Vec<RawTag>, VisionError> {
-    let known = FAMILIES.into_iter().find(|f| *f == family_name).and_then(|f| Some((f, family(f)?)));
+    let known = TAG_FAMILIES.into_iter().find(|f| *f == family_name).and_then(|f| Some((f, family(f)?)));
     let (name, (create, destroy_family)) = known.ok_or_else(|| {
         VisionError::result(
             "detect tags",
-            format!("one of the families {}", FAMILIES.join(", ")),
+            format!("one of the families {}", TAG_FAMILIES.join(", ")),
             family_name,
         )
     })?;

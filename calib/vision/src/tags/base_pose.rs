@@ -6,12 +6,13 @@
 //! Source: block elimination of normal equations (Triggs et al., "Bundle Adjustment - A Modern Synthesis", 2000, section 6).
 
 use crate::median::median;
-use crate::rig::{Rig, RigTag};
+use crate::rig::Rig;
 use crate::stereo::StereoCameras;
 use crate::tags::detection::Tag;
 use crate::tags::pose::{BodyPose, TAG_MISFIT_PX, TagObservation, body_pose, residual_rms_px};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector2, Vector3};
 use std::collections::BTreeMap;
+use wcal_core::rig_devices::TagRig;
 
 /// Corners that differ from the folder's by more than this many sd belong to a base that has moved.
 const MOVED_SD: f64 = 6.0;
@@ -38,7 +39,7 @@ fn observation(rig: &Rig, camera: usize, tag: &Tag) -> Option<TagObservation> {
         camera,
         tag: tag.clone(),
         size_mm: known.size_mm,
-        body_from_tag: known.base_from_tag?,
+        body_from_tag: known.base_from_tag?.0,
     })
 }
 
@@ -126,7 +127,7 @@ pub fn rig_poses(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -> RigPo
 }
 
 /// Sightings of one tag in its own frame.
-pub fn observations_of(known: &RigTag, tags: &PairTags) -> Vec<TagObservation> {
+pub fn observations_of(known: &TagRig, tags: &PairTags) -> Vec<TagObservation> {
     tags.iter()
         .filter(|(_, t)| t.id == known.id && t.family == known.family)
         .map(|(camera, tag)| TagObservation {

@@ -8,12 +8,13 @@
 //! is a wrong statement; a pair with another value than the rest shows the tag at two places.
 
 use crate::median::median;
-use crate::rig::{Rig, RigTag};
+use crate::rig::Rig;
 use crate::stereo::StereoCameras;
 use crate::tags::base_pose::{PairTags, observations_of};
 use crate::tags::pose::{TAG_MISFIT_PX, TagObservation, body_pose, minimise, residual_rms_px};
 use nalgebra::{DVector, Vector3};
 use wcal_core::order_statistics::MAD_TO_SD;
+use wcal_core::rig_devices::TagRig;
 
 /// Share of the side from which a difference matters: 0.02 mm on a tag of 10 mm, about what a caliper reads of a print.
 const MATTERS: f64 = 0.002;
@@ -94,7 +95,7 @@ pub(crate) fn tag_sizes(stereo: &StereoCameras, rig: &Rig, pairs: &[PairTags]) -
 }
 
 /// The side of a tag that both cameras see; none where the corners are no square at one place.
-fn side(stereo: &StereoCameras, tag: &RigTag, seen: &[TagObservation]) -> Option<Side> {
+fn side(stereo: &StereoCameras, tag: &TagRig, seen: &[TagObservation]) -> Option<Side> {
     let [Some(left), Some(right)] = [0, 1].map(|camera| seen.iter().find(|s| s.camera == camera)) else {
         return None;
     };

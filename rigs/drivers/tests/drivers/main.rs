@@ -11,6 +11,7 @@
 mod cantilever;
 mod common;
 mod limits_property;
+mod odd_numbers;
 mod tap;
 mod tapped;
 /// `make test` runs these before all others in the machine's favour, and those beside them with `--skip keeps_time::`.

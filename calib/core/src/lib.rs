@@ -25,6 +25,7 @@ pub mod rig_devices;
 pub mod sealed;
 pub mod sealed_rows;
 pub mod shapes_document;
+pub mod shared_time;
 pub mod standstill;
 pub mod stream;
 pub mod text;

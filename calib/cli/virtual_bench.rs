@@ -80,8 +80,8 @@ pub fn run(arguments: &VirtualBenchArgs) -> Result<ExitCode> {
     if let Some(behind_s) = bench.fell_behind_s() {
         let speed = bench.addresses().speed;
         eprintln!(
-            "virtual-bench: warning: fell behind its clock by up to {behind_s:.1} s of bench time at {speed} times real time: \
-             rows recorded then are marked `late`; use a lower speed"
+            "virtual-bench: warning: fell behind its clock by {behind_s:.1} s of bench time at {speed} times real time: \
+             programs at it waited as long; use a lower speed"
         );
         return Ok(ExitCode::from(3));
     }

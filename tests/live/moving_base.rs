@@ -1,10 +1,9 @@
 //! A virtual bench with a base that the stage carries, and calibrations made on it (SIMULATED).
 
 use crate::support::virtual_bench::{VirtualBench, rig_at};
-use crate::support::{program, repository, text};
+use crate::support::{program, repository, text, until};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 use wcal_acquisition::rig::Rig;
 use wcal_core::CalibrationFile;
 use wcal_core::clock::HostClock;
@@ -56,21 +55,14 @@ impl Bench {
 }
 
 pub fn until_standing(stage: &mut dyn wcal_core::device::Stage) {
-    let start = Instant::now();
     // The axis answers with an error until it has its reference.
-    while stage.read().map_or(true, |r| r.moving) {
-        assert!(start.elapsed() < Duration::from_secs(60), "the stage does not come to rest");
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    until("a stage at rest", || stage.read().is_ok_and(|r| !r.moving));
 }
 
 /// Waits until a run has written that many rows, ten for each second of the bench.
 pub fn until_rows(table: &Path, rows: usize) {
-    let start = Instant::now();
-    while std::fs::read_to_string(table).map_or(0, |t| t.lines().skip(1).count()) < rows {
-        assert!(start.elapsed() < Duration::from_secs(60), "no {rows} rows in {}", table.display());
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    let there = || std::fs::read_to_string(table).map_or(0, |t| t.lines().skip(1).count());
+    until("rows", || there() >= rows);
 }
 
 /// Waits until a run has written that many rows more. Rows reach the file every half second: some of them may be older than the call.

@@ -4,11 +4,11 @@
 use crate::support::board_pictures::board_pictures;
 use crate::support::copy::copy_folder;
 use crate::support::virtual_bench::{VirtualBench, rig_at};
-use crate::support::{code_and_messages, program, text};
+use crate::support::{code_and_messages, program, text, until};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use wcal_acquisition::replay::completed_steps;
 use wcal_core::provenance::sha256_hex;
 use wcal_core::shapes_document::{PairDocument, ShapesDocument};
@@ -59,11 +59,7 @@ impl Bench {
         let plan = plan[..plan.rfind("[[block]]").unwrap()].to_owned();
         let child = self.begin(session, &plan);
         let recording = PathBuf::from(self.at(session)).join("recording.mcap");
-        let start = Instant::now();
-        while completed_steps(&recording).map_or(0, |s| s.len()) < after {
-            assert!(start.elapsed() < Duration::from_secs(60), "{session}");
-            std::thread::sleep(Duration::from_millis(20));
-        }
+        until(session, || completed_steps(&recording).map_or(0, |s| s.len()) >= after);
         self.served.type_fault(fault);
         ended(child)
     }

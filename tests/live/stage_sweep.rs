@@ -6,13 +6,13 @@ mod reduction;
 mod safety;
 
 use crate::support::virtual_bench::{VirtualBench, rig_at};
-use crate::support::{program, repository, text};
+use crate::support::{program, repository, text, until};
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::RwLockWriteGuard;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use wcal_acquisition::replay::completed_steps;
 
 /// Bench seconds per wall second.
@@ -77,12 +77,8 @@ fn document(run: &Output) -> Value {
 
 /// Waits until that many steps of the plan are done.
 fn until_done(session: &Path, steps: usize) {
-    let start = Instant::now();
     let done = || completed_steps(&session.join("recording.mcap")).map_or(0, |s| s.len());
-    while done() < steps {
-        assert!(start.elapsed() < Duration::from_secs(60), "only {} steps done", done());
-        std::thread::sleep(Duration::from_millis(50));
-    }
+    until("steps of the plan", || done() >= steps);
 }
 
 fn check(session: &Path) -> i32 {

@@ -62,3 +62,16 @@ pub fn code_and_messages(arguments: &[&str]) -> (i32, String) {
 pub fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
+
+/// Waits for what must come, however busy the machine is.
+///
+/// # Panics
+/// Where it does not come within ten minutes: something hangs.
+#[track_caller]
+pub fn until(what: &str, mut there: impl FnMut() -> bool) {
+    let start = std::time::Instant::now();
+    while !there() {
+        assert!(start.elapsed().as_secs() < 600, "hangs: {what}");
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+}

@@ -35,6 +35,12 @@ impl VirtualBench {
         writeln!(self.child.stdin.as_mut().unwrap(), "{line}").unwrap();
     }
 
+    /// Sends it a signal.
+    pub fn signal(&self, name: &str) {
+        let kill = std::process::Command::new("kill").args([name, &self.child.id().to_string()]).status();
+        assert!(kill.unwrap().success(), "{name}");
+    }
+
     /// Its input closes, and it ends.
     pub fn end(&mut self) {
         drop(self.child.stdin.take());

@@ -10,15 +10,16 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::{McapResult, WriteOptions, Writer};
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions};
-use std::io::BufWriter;
+use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use wcal_core::device::{CameraFrame, FbgReading, StageReading};
 
 /// Longest time that a message stays in memory: kill -9 loses less than this.
 const FLUSH: Duration = Duration::from_millis(250);
-/// Longest time until the disk itself has it.
+/// Between two syncs to the disk itself, where that is fast enough.
 const SYNC: Duration = Duration::from_secs(2);
 
 /// How much a line of text matters, by the numbers of `foxglove.Log`.
@@ -35,6 +36,7 @@ pub struct Recorder {
     open: Mutex<Open>,
     file: File,
     path: PathBuf,
+    syncing: Mutex<Option<JoinHandle<io::Result<()>>>>,
     /// The first failure to write: those after it only say that there was one.
     failed: OnceLock<String>,
 }
@@ -89,8 +91,8 @@ impl Recorder {
         let now = Instant::now();
         let open =
             Open { writer, channels: HashMap::new(), flushed: now, synced: now, refused: Refused::default() };
-        let recorder =
-            Self { open: Mutex::new(open), file: copy, path: path.to_owned(), failed: OnceLock::new() };
+        let (open, path) = (Mutex::new(open), path.to_owned());
+        let recorder = Self { open, file: copy, path, syncing: Mutex::default(), failed: OnceLock::new() };
         recorder.flush()?;
         Ok(recorder)
     }
@@ -127,9 +129,8 @@ impl Recorder {
         open.writer.flush().map_err(|e| self.failed(&e))?;
         if now - open.synced >= SYNC {
             open.synced = now;
-            // What is written meanwhile need not wait for the disk.
             drop(open);
-            self.file.sync_data().map_err(|e| self.failed(&e))?;
+            self.begin_sync().map_err(|e| self.failed(&e))?;
         }
         Ok(true)
     }
@@ -137,6 +138,17 @@ impl Recorder {
     /// Messages that were left out so far.
     pub fn refused(&self) -> Refused {
         self.lock().refused.clone()
+    }
+
+    /// Sends what is in the file to the disk, beside what goes on: a busy disk takes seconds, and no device waits for it.
+    fn begin_sync(&self) -> io::Result<()> {
+        let mut running = self.syncing.lock().unwrap_or_else(PoisonError::into_inner);
+        if running.as_ref().is_some_and(|sync| !sync.is_finished()) {
+            return Ok(());
+        }
+        let file = self.file.try_clone()?;
+        let ended = running.replace(std::thread::spawn(move || file.sync_data()));
+        ended.and_then(|sync| sync.join().ok()).unwrap_or(Ok(()))
     }
 
     /// Records a scan; false as for [`Recorder::message`].

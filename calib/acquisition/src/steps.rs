@@ -9,7 +9,7 @@ use crate::recorder::{Level, Recorder};
 use crate::rig::Rig;
 use std::collections::BTreeSet;
 use std::sync::Mutex;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use wcal_core::deadline::{Deadline, Interrupt, move_allowance};
 use wcal_core::device::{DeviceError, DeviceErrorKind, Mount, Permission, Stage, StageReading};
 
@@ -99,8 +99,9 @@ impl Sweep<'_, '_, '_> {
         self.reference(allowed)?;
         let first_scan = Deadline::uninterruptible(SILENCE * 2);
         while lock(self.bench.monitor).device_s().is_none() {
+            let over = first_scan.is_over();
             self.tick(POLL_STANDING)?;
-            if first_scan.is_over() {
+            if over && lock(self.bench.monitor).device_s().is_none() {
                 let kind = DeviceErrorKind::Timeout;
                 return Err(DeviceError::new(kind, "interrogator", "wait for scans", "scans", "silence"));
             }
@@ -211,8 +212,8 @@ impl Sweep<'_, '_, '_> {
 
     /// The stage stands until the pair of the pose is recorded; after a time limit the sweep continues without it.
     fn wait_for_picture(&mut self) -> Result<(), DeviceError> {
-        let start = Instant::now();
-        while lock(self.bench.monitor).wanted_picture().is_some() && start.elapsed() < PICTURE {
+        let deadline = Deadline::uninterruptible(PICTURE);
+        while lock(self.bench.monitor).wanted_picture().is_some() && !deadline.is_over() {
             self.tick(POLL_STANDING)?;
         }
         if lock(self.bench.monitor).end_picture() {
@@ -309,11 +310,13 @@ impl Sweep<'_, '_, '_> {
         let allowed = move_allowance(way_mm, speed_mm_s, self.rig.clock_scale);
         let deadline = Deadline::after(allowed, self.bench.interrupt);
         loop {
+            // The last look begins after the end: recording, or a busy computer, may have kept this program from it.
+            let over = deadline.is_over();
             self.tick(POLL_MOVING)?;
             if !self.last.moving {
                 return Ok(());
             }
-            if deadline.is_over() {
+            if over {
                 let found = format!("still moving (BUSY) at {:.4} mm", self.last.measured_mm);
                 return self.of_stage(Err(deadline.error("stage", action, "standstill", &found)));
             }

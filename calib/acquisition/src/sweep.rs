@@ -124,6 +124,8 @@ fn stream(
     // From scan to scan; time in which this program itself stood still is not the unit's.
     let mut heard = Deadline::uninterruptible(SILENCE);
     while !done.load(Ordering::SeqCst) {
+        // Silence is what a look after its end finds, too.
+        let over = heard.is_over();
         let readings = match interrogator.read(Duration::from_millis(100)) {
             Ok(readings) => readings,
             // The sweep hears of it by itself; its way to a safe state is recorded, too.
@@ -141,7 +143,7 @@ fn stream(
         }
         if !recorded.is_empty() {
             heard = Deadline::uninterruptible(SILENCE);
-        } else if heard.is_over() {
+        } else if over {
             let (kind, found) = (DeviceErrorKind::Timeout, format!("silence for {} s", SILENCE.as_secs()));
             return Err(blame(DeviceError::new(kind, "interrogator", "read the stream", "scans", found)));
         }

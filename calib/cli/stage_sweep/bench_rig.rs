@@ -5,7 +5,7 @@ use std::path::Path;
 use wcal_acquisition::reduce::recordings;
 use wcal_acquisition::replay::{Message, read};
 
-/// Puts the addresses of a virtual bench into a rig.
+/// Puts the addresses of a virtual bench into a rig, and goes by its time.
 pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
     ensure!(
         !addresses.trim().is_empty(),
@@ -24,6 +24,10 @@ pub(crate) fn with_addresses(rig: &str, addresses: &str) -> Result<String> {
     // The bench's clock may run faster than the wall's.
     if let Some(speed) = addresses.get("speed").and_then(serde_json::Value::as_f64) {
         rig.insert("clock_scale".to_owned(), speed.into());
+    }
+    if let Ok(clock) = text("/clock") {
+        // A bench that has ended is named by its devices.
+        let _ = wcal_drivers::bench::follow_clock(&clock);
     }
     let cameras = rig.get_mut("camera").and_then(toml::Value::as_array_mut);
     for (k, camera) in cameras.into_iter().flatten().enumerate() {

@@ -190,6 +190,8 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Feed
         return intake.fail(e);
     }
     while !done.load(Ordering::SeqCst) {
+        // Silence is what a look after its end finds, too.
+        let over = heard.is_over();
         let readings = match interrogator.read(Duration::from_millis(50)) {
             Ok(readings) => readings,
             // The user wants an end, which the tracker hears of by itself.
@@ -197,7 +199,7 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Feed
             Err(e) => return intake.fail(blame(e)),
         };
         if readings.is_empty() {
-            if heard.is_over() {
+            if over {
                 let found = format!("silence for {} s", SILENCE.as_secs());
                 let kind = DeviceErrorKind::Timeout;
                 let error = DeviceError::new(kind, "interrogator", "read the stream", "scans", found);

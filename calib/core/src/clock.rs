@@ -1,6 +1,6 @@
 //! Host time of readings, and from when on one is late.
 
-use crate::standstill::now_ns;
+use crate::shared_time::now_ns;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// A reading that arrives this much later than others did (wall time) says that the bench, or this computer, falls behind, s.

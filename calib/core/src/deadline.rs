@@ -5,10 +5,10 @@
 //! ```
 
 use crate::device::{DeviceError, DeviceErrorKind};
-use crate::standstill;
+use crate::{shared_time, standstill};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Longest time in one call of the system: an interrupt is heard within it.
 const SLICE: Duration = Duration::from_millis(50);
@@ -116,7 +116,8 @@ fn interrupted(device: &str, action: &str, signal: Signal) -> DeviceError {
 /// prolong it.
 #[derive(Debug, Clone)]
 pub struct Deadline {
-    end: Instant,
+    /// In the time that a virtual bench shares.
+    end: Duration,
     allowed: Duration,
     interrupt: Interrupt,
     /// How long the program had stood still when it began: time in which nobody could look is no part of the wait.
@@ -128,7 +129,7 @@ impl Deadline {
     pub fn after(allowed: Duration, interrupt: &Interrupt) -> Self {
         let allowed = allowed.min(LONGEST);
         let still = standstill::total();
-        Self { end: Instant::now() + allowed, allowed, interrupt: interrupt.clone(), still }
+        Self { end: now() + allowed, allowed, interrupt: interrupt.clone(), still }
     }
 
     /// For what must be tried whatever the user wants: to stop a stage.
@@ -139,7 +140,7 @@ impl Deadline {
     /// An earlier end: a part of this wait.
     pub fn within(&self, allowed: Duration) -> Self {
         let still = standstill::total();
-        let end = (self.end + still.saturating_sub(self.still)).min(Instant::now() + allowed.min(LONGEST));
+        let end = (self.end + still.saturating_sub(self.still)).min(now() + allowed.min(LONGEST));
         Self { end, allowed: self.allowed.min(allowed), interrupt: self.interrupt.clone(), still }
     }
 
@@ -152,7 +153,7 @@ impl Deadline {
     pub fn remaining(&self) -> Duration {
         match self.interrupt.signal() {
             Some(_) => Duration::ZERO,
-            None => (self.end + self.stood_still()).saturating_duration_since(Instant::now()),
+            None => (self.end + self.stood_still()).saturating_sub(now()),
         }
     }
 
@@ -173,9 +174,9 @@ impl Deadline {
 
     /// Sleeps, not beyond the end.
     pub fn pause(&self, pause: Duration) {
-        let until = Instant::now() + pause.min(self.remaining());
+        let until = now() + pause.min(self.remaining());
         while !self.is_over() {
-            let rest = until.saturating_duration_since(Instant::now());
+            let rest = until.saturating_sub(now());
             if rest.is_zero() {
                 return;
             }
@@ -193,6 +194,10 @@ impl Deadline {
             }
         }
     }
+}
+
+fn now() -> Duration {
+    Duration::from_nanos(shared_time::now_ns())
 }
 
 /// Longest time (wall) that a move of this way (mm) at this speed (mm/s) may take; `clock_scale`: host seconds per wall second. A way or
@@ -237,7 +242,7 @@ mod tests {
 
     #[test]
     fn a_pause_ends_with_its_deadline() {
-        let start = Instant::now();
+        let start = std::time::Instant::now();
         Deadline::after(Duration::from_millis(20), &Interrupt::default()).pause(Duration::from_secs(3600));
         assert!(start.elapsed() < Duration::from_secs(600));
     }

@@ -26,6 +26,7 @@ pub mod rigid;
 pub mod sealed;
 pub mod sealed_rows;
 pub mod shapes_document;
+pub mod shared_time;
 pub mod standstill;
 pub mod stream;
 pub mod text;

@@ -44,17 +44,20 @@ pub(crate) fn connect(address: &str, deadline: &Deadline) -> io::Result<TcpStrea
     }
 }
 
-/// Reads what is there within the deadline.
+/// Reads or sends within the deadline. The last attempt begins after its end: what came while this program did not get to run is no silence.
 ///
 /// # Errors
-/// `TimedOut` when nothing came, `BrokenPipe` when the other end closed, else what the system says.
-pub(crate) fn read(stream: &mut TcpStream, into: &mut [u8], deadline: &Deadline) -> io::Result<usize> {
+/// `TimedOut` when nothing came or went, `BrokenPipe` when the other end closed, else what the system says.
+pub(crate) fn attempts(
+    deadline: &Deadline,
+    mut attempt: impl FnMut(Duration) -> io::Result<usize>,
+) -> io::Result<usize> {
     loop {
-        stream.set_read_timeout(Some(deadline.slice()))?;
-        match stream.read(into) {
+        let over = deadline.is_over();
+        match attempt(deadline.slice()) {
             Ok(0) => return Err(io::Error::new(ErrorKind::BrokenPipe, "the link is closed")),
             Err(e) if is_timeout(&e) || e.kind() == ErrorKind::Interrupted => {
-                if deadline.is_over() {
+                if over {
                     return Err(ErrorKind::TimedOut.into());
                 }
             }
@@ -63,22 +66,26 @@ pub(crate) fn read(stream: &mut TcpStream, into: &mut [u8], deadline: &Deadline)
     }
 }
 
+/// Reads what is there within the deadline.
+///
+/// # Errors
+/// As [`attempts`].
+pub(crate) fn read(stream: &mut TcpStream, into: &mut [u8], deadline: &Deadline) -> io::Result<usize> {
+    attempts(deadline, |slice| {
+        stream.set_read_timeout(Some(slice))?;
+        stream.read(into)
+    })
+}
+
 /// Sends some of the bytes within the deadline.
 ///
 /// # Errors
-/// `TimedOut` when the other end takes nothing, else what the system says.
+/// As [`attempts`].
 pub(crate) fn write(stream: &mut TcpStream, bytes: &[u8], deadline: &Deadline) -> io::Result<usize> {
-    loop {
-        stream.set_write_timeout(Some(deadline.slice()))?;
-        match stream.write(bytes) {
-            Err(e) if is_timeout(&e) || e.kind() == ErrorKind::Interrupted => {
-                if deadline.is_over() {
-                    return Err(ErrorKind::TimedOut.into());
-                }
-            }
-            other => return other,
-        }
-    }
+    attempts(deadline, |slice| {
+        stream.set_write_timeout(Some(slice))?;
+        stream.write(bytes)
+    })
 }
 
 /// A connection of a device, which its errors name.
@@ -186,6 +193,24 @@ mod tests {
         drop(listener);
         let why = Link::connect("unit".to_owned(), &address, &never).unwrap_err();
         assert_eq!(why.kind, DeviceErrorKind::Disconnected, "{why}");
+    }
+
+    /// Who did not get to run until its wait was over looks once more.
+    #[test]
+    fn what_came_in_a_wait_that_was_slept_through_is_read() {
+        let of = |comes: bool| {
+            let (deadline, mut tries) = (Deadline::uninterruptible(Duration::from_millis(20)), 0);
+            let found = attempts(&deadline, |_| {
+                tries += 1;
+                if tries == 1 {
+                    std::thread::sleep(Duration::from_millis(40));
+                }
+                if comes && tries == 2 { Ok(5) } else { Err(ErrorKind::WouldBlock.into()) }
+            });
+            (found.map_err(|e| e.kind()), tries)
+        };
+        assert_eq!(of(true), (Ok(5), 2));
+        assert_eq!(of(false), (Err(ErrorKind::TimedOut), 2), "control");
     }
 
     #[test]

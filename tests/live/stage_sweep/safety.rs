@@ -2,6 +2,7 @@
 
 use super::*;
 use std::net::TcpListener;
+use std::time::Instant;
 
 /// Two trajectories of two depths and the rests between: some seconds.
 const PLAN: &str = r#"
@@ -19,7 +20,7 @@ dwell_s = 0.5
 average_s = 0.5
 "#;
 /// A run that lasts this long hangs: the longest wait of the program is a tenth of it.
-const HANGS: Duration = Duration::from_secs(240);
+const HANGS: Duration = Duration::from_secs(600);
 
 impl Bench {
     /// `wcal stage-sweep` with the short plan.
@@ -125,6 +126,31 @@ fn a_sweep_that_was_itself_paused_does_not_blame_the_interrogator() {
     finished(&bench.run_short("--resume"), 6);
 }
 
+/// The bench itself does not get to run, as on a busy computer: the time stands for all, and no device is blamed.
+#[test]
+fn a_bench_that_does_not_run_is_waited_for() {
+    let bench = Bench::start("");
+    let stopped_for_a_while = |child: Child| {
+        bench.served.signal("-STOP");
+        std::thread::sleep(Duration::from_secs(8));
+        bench.served.signal("-CONT");
+        ended(child)
+    };
+    let run = stopped_for_a_while(bench.begun_short());
+    finished(&run, 6);
+    // In step with the bench: nothing came late by the clocks of the two.
+    assert!(!text(&run.stderr).contains(" late"), "{}", text(&run.stderr));
+    // Control: who is not told the bench's time names the device that is silent, as with a real one.
+    let mut addresses = document_of(&bench.served.addresses);
+    addresses.as_object_mut().and_then(|a| a.remove("clock")).expect("the bench's clock");
+    std::fs::write(&bench.served.addresses, addresses.to_string()).expect("written");
+    let session = bench.folder.path().join("untold");
+    let child = bench.short(&["--out", &session.display().to_string()]).spawn().expect("wcal runs");
+    until_done(&session, 3);
+    let (kind, said, _) = cause(&stopped_for_a_while(child));
+    assert_eq!(kind, "timeout", "{said}");
+}
+
 #[test]
 fn a_flood_without_a_reply_is_named_and_the_sweep_goes_on_when_it_is_over() {
     let mut bench = Bench::start("");
@@ -141,11 +167,7 @@ fn a_flood_without_a_reply_is_named_and_the_sweep_goes_on_when_it_is_over() {
         if k > 0 {
             // The second recording has its first scans: the stage is open.
             let part = bench.session().join("recording-2.mcap");
-            let start = Instant::now();
-            while !part.exists() {
-                assert!(start.elapsed() < Duration::from_secs(60), "no second recording");
-                std::thread::sleep(Duration::from_millis(5));
-            }
+            until("second recording", || part.exists());
         }
         bench.type_fault(&format!("{{\"kind\":\"{flood}\",\"on\":true}}"));
         let (kind, said, stopped) = cause(&ended(child));
@@ -176,10 +198,8 @@ fn a_device_that_cannot_be_opened_leaves_no_folder_behind() {
     // Until the queue of its port is full, connections are made and not answered.
     let address = document_of(&bench.served.addresses)["stage_tcp"].as_str().expect("address").to_owned();
     let address = address.parse().expect("an address");
-    let start = Instant::now();
-    while std::net::TcpStream::connect_timeout(&address, Duration::from_millis(300)).is_ok() {
-        assert!(start.elapsed() < Duration::from_secs(60), "the port still answers");
-    }
+    let answers = || std::net::TcpStream::connect_timeout(&address, Duration::from_millis(300)).is_ok();
+    until("a port that does not answer", || !answers());
     let refused = |run: Output, word: &str| {
         let said = text(&run.stderr);
         assert_eq!(run.status.code(), Some(1), "{said}");
@@ -227,11 +247,7 @@ fn sigterm_and_sighup_make_safe_as_ctrl_c_does_and_nohup_is_respected() {
     };
     // The second recording begins when everything is open.
     let recorded = |number: usize| {
-        let start = Instant::now();
-        while !bench.session().join(format!("recording-{number}.mcap")).exists() {
-            assert!(start.elapsed() < Duration::from_secs(60), "no recording {number}");
-            std::thread::sleep(Duration::from_millis(5));
-        }
+        until("recording", || bench.session().join(format!("recording-{number}.mcap")).exists());
     };
     let child = resume();
     recorded(2);

@@ -27,7 +27,7 @@ pub fn serve(shared: &BenchState, mut link: TcpStream, index: usize) -> io::Resu
     let mut trigger = (shared.clock.now_s() / period_s).ceil() as u64;
     let mut frozen: Option<Vec<u8>> = None;
     let mut heard = Vec::new();
-    while !shared.stopping() {
+    while shared.goes_on() {
         let due_s = trigger as f64 * period_s;
         let now_s = shared.clock.now_s();
         if now_s < due_s {

@@ -2,13 +2,14 @@
 
 use super::lock::guard;
 use std::sync::Mutex;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use wcal_core::shared_time::now_ns;
 
 /// What makes the time pass.
 #[derive(Debug)]
 enum Pace {
-    /// The wall's clock, from this instant on.
-    Wall(Instant),
+    /// The wall's clock while all parts of the bench run, from this time on, ns.
+    Wall(u64),
     /// Whoever lets it pass: bench time, s.
     Let(Mutex<f64>),
 }
@@ -28,7 +29,7 @@ fn epoch_s() -> f64 {
 impl BenchClock {
     /// Starts now and runs `speed` times as fast as wall time.
     pub fn start(speed: f64) -> Self {
-        Self { pace: Pace::Wall(Instant::now()), start_epoch_s: epoch_s(), speed }
+        Self { pace: Pace::Wall(now_ns()), start_epoch_s: epoch_s(), speed }
     }
 
     /// Stands until its time is let pass.
@@ -46,7 +47,7 @@ impl BenchClock {
     /// Bench time, s.
     pub fn now_s(&self) -> f64 {
         match &self.pace {
-            Pace::Wall(start) => start.elapsed().as_secs_f64() * self.speed,
+            Pace::Wall(start_ns) => (now_ns() - start_ns) as f64 * 1e-9 * self.speed,
             Pace::Let(now_s) => *guard(now_s),
         }
     }

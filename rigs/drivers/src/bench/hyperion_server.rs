@@ -13,7 +13,7 @@ pub fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> {
     let mut pending = Vec::new();
     let mut bytes = [0_u8; 512];
     let mut stream_from: Option<u64> = None;
-    while !shared.stopping() && !shared.interrogator_cable.is_out() {
+    while shared.goes_on() && !shared.interrogator_cable.is_out() {
         if let Some(from) = stream_from {
             let scans = shared.scans_from(from);
             let out: Vec<u8> = scans.iter().flat_map(|s| response("", &record(shared, s))).collect();

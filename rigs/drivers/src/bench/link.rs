@@ -1,7 +1,9 @@
 //! Byte links of the virtual bench, and what can go wrong on them.
 
+use crate::host::is_timeout;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags, open};
+use rustix::io::retry_on_intr;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use std::collections::VecDeque;
@@ -11,6 +13,7 @@ use std::os::fd::OwnedFd;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+use wcal_core::shared_time;
 
 /// What happens to one of the next replies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -122,7 +125,7 @@ impl Cable {
         match fault {
             None => wire.send(bytes),
             Some(ReplyFault::Late) => {
-                std::thread::sleep(LATE);
+                shared_time::pause(LATE);
                 wire.send(bytes)
             }
             Some(ReplyFault::Foreign) => {
@@ -178,7 +181,8 @@ impl Wire for TcpStream {
         self.set_read_timeout(Some(PATIENCE))?;
         match self.read(into) {
             Ok(0) => Err(io::ErrorKind::UnexpectedEof.into()),
-            Err(e) if matches!(e.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => Ok(0),
+            // Interrupted: this process was stopped, and goes on.
+            Err(e) if is_timeout(&e) || e.kind() == io::ErrorKind::Interrupted => Ok(0),
             other => other,
         }
     }
@@ -223,7 +227,7 @@ impl Wire for Pty {
     fn receive(&mut self, into: &mut [u8]) -> io::Result<usize> {
         let wait = Timespec { tv_sec: 0, tv_nsec: PATIENCE.as_nanos() as i64 };
         let mut fds = [PollFd::new(&self.master, PollFlags::IN)];
-        if poll(&mut fds, Some(&wait))? == 0 {
+        if retry_on_intr(|| poll(&mut fds, Some(&wait)))? == 0 {
             return Ok(0);
         }
         Ok(rustix::io::read(&self.master, into)?)
@@ -234,7 +238,8 @@ impl Wire for Pty {
         let wait = Timespec { tv_sec: TAKEN.as_secs() as i64, tv_nsec: 0 };
         while !rest.is_empty() {
             // Without a client the terminal fills up, and a write would wait for ever.
-            if poll(&mut [PollFd::new(&self.master, PollFlags::OUT)], Some(&wait))? == 0 {
+            let mut fds = [PollFd::new(&self.master, PollFlags::OUT)];
+            if retry_on_intr(|| poll(&mut fds, Some(&wait)))? == 0 {
                 return Err(io::ErrorKind::TimedOut.into());
             }
             let sent = rustix::io::write(&self.master, rest)?;

@@ -28,12 +28,13 @@ use plant::Plant;
 use scenario::Scenario;
 use schemars::JsonSchema;
 use serde::Serialize;
-use std::io;
+use std::io::{self, Read, Write};
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 use wcal_core::clock::late_s;
+use wcal_core::shared_time;
 use world::BenchState;
 
 /// Where the devices answer; printed as one JSON line by `wcal virtual-bench`.
@@ -51,6 +52,8 @@ pub struct Addresses {
     pub cameras: Vec<SocketAddr>,
     /// Bench seconds per wall second.
     pub speed: f64,
+    /// Tells programs on this computer when the bench's time stands, host:port.
+    pub clock: SocketAddr,
 }
 
 /// Ports of the Hyperion.
@@ -95,7 +98,8 @@ impl VirtualBench {
         shared.scan();
         threads.push(scanner(&shared));
         let hyperion = HyperionAddresses { commands, peaks };
-        let addresses = Addresses { stage_pty, stage_tcp, sm130, hyperion, cameras, speed };
+        let clock = listen(&shared, &mut threads, PortCable::None, serve_clock)?;
+        let addresses = Addresses { stage_pty, stage_tcp, sm130, hyperion, cameras, speed, clock };
         Ok(Self { shared, addresses, threads })
     }
 
@@ -115,11 +119,11 @@ impl VirtualBench {
         self.shared.world().units.first().map_or((0.0, 0.0), |u| u.axis.at(t_s))
     }
 
-    /// Longest time by which the bench fell behind its own clock, s of bench time, where that is too long: its readings then came late,
-    /// and those of a stage that had moved on since may be wrong.
+    /// Time for which the bench's clock stood, s of bench time, where that is much: this computer cannot hold its speed.
     pub fn fell_behind_s(&self) -> Option<f64> {
-        let behind_s = self.shared.behind_s();
-        (behind_s > late_s(self.shared.clock.speed())).then_some(behind_s)
+        let speed = self.shared.clock.speed();
+        let behind_s = shared_time::stood().as_secs_f64() * speed;
+        (behind_s > late_s(speed)).then_some(behind_s)
     }
 
     /// Bench time, s.
@@ -144,6 +148,9 @@ const SEND: Duration = Duration::from_secs(5);
 const UNANSWERED: Duration = Duration::from_millis(100);
 /// Most connections that fill a queue; the standard library asks for a queue of 128.
 const QUEUE: usize = 200;
+
+/// Between two words on the bench's time.
+const TOLD: Duration = Duration::from_millis(10);
 
 /// Which cable a port hangs on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -179,7 +186,7 @@ where
     threads.push(std::thread::spawn(move || {
         let mut clients: Vec<JoinHandle<()>> = Vec::new();
         let mut queue = Vec::new();
-        while !shared.stopping() {
+        while shared.goes_on() {
             if cord != PortCable::None && shared.never_accepts() {
                 // With a full queue the system does not answer to another connection.
                 if queue.is_empty() {
@@ -219,7 +226,7 @@ where
 fn serve_pty(shared: &Arc<BenchState>, mut pty: Pty) -> JoinHandle<()> {
     let shared = Arc::clone(shared);
     std::thread::spawn(move || {
-        while !shared.stopping() {
+        while shared.goes_on() {
             // Ends when the cable is pulled: the pair is kept, but silent.
             let _ = stage_server::serve(&shared, &mut pty);
             std::thread::sleep(Duration::from_millis(5));
@@ -232,7 +239,38 @@ fn scanner(shared: &Arc<BenchState>) -> JoinHandle<()> {
     std::thread::spawn(move || {
         while !shared.stopping() {
             shared.scan();
+            shared_time::lives(shared.behind());
             std::thread::sleep(Duration::from_millis(4));
         }
     })
+}
+
+/// Tells a program on this computer the bench's time, until it is gone.
+fn serve_clock(shared: &BenchState, mut link: TcpStream) -> io::Result<()> {
+    while shared.goes_on() {
+        link.write_all(&shared_time::state_ns().map(u64::to_le_bytes).concat())?;
+        std::thread::sleep(TOLD);
+    }
+    Ok(())
+}
+
+/// Goes by the time of a bench on this computer until that ends.
+///
+/// # Errors
+/// What the system says where it is not there.
+pub fn follow_clock(address: &str) -> io::Result<()> {
+    let mut link = TcpStream::connect(address)?;
+    link.set_read_timeout(Some(shared_time::GONE))?;
+    let mut hear = move || -> io::Result<()> {
+        let mut state = [[0; 8]; 2];
+        link.read_exact(state.as_flattened_mut())?;
+        shared_time::follow(Some(state.map(u64::from_le_bytes)));
+        Ok(())
+    };
+    hear()?;
+    std::thread::spawn(move || {
+        while hear().is_ok() {}
+        shared_time::follow(None);
+    });
+    Ok(())
 }

@@ -19,7 +19,7 @@ pub fn serve(shared: &BenchState, mut link: TcpStream) -> io::Result<()> {
     let mut line = Vec::new();
     let mut bytes = [0_u8; 512];
     let mut stream_from: Option<u64> = None;
-    while !shared.stopping() && !shared.interrogator_cable.is_out() {
+    while shared.goes_on() && !shared.interrogator_cable.is_out() {
         if let Some(from) = stream_from {
             stream_from = Some(stream(shared, &mut link, from)?);
             link.set_nonblocking(true)?;

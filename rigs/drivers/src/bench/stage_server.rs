@@ -25,7 +25,7 @@ pub fn serve(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
 }
 
 fn open(shared: &BenchState) -> bool {
-    !shared.stopping() && !shared.stage_cable.is_out()
+    shared.goes_on() && !shared.stage_cable.is_out()
 }
 
 fn serve_ascii(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
@@ -39,8 +39,10 @@ fn serve_ascii(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
             shared.stage_cable.pour(wire, false)?;
         }
         let alerts: Vec<String> = {
+            // The time is asked with the lock held: one from before it would put the units back.
+            let mut world = shared.world();
             let t_s = shared.clock.now_s();
-            shared.world().units.iter_mut().filter_map(|u| u.update(t_s)).collect()
+            world.units.iter_mut().filter_map(|u| u.update(t_s)).collect()
         };
         for alert in alerts {
             wire.send(alert.as_bytes())?;
@@ -57,9 +59,9 @@ fn serve_ascii(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
             let command = ascii::parse(&line);
             line.clear();
             let Some(command) = command else { continue };
-            let t_s = shared.clock.now_s();
             let replies: Vec<String> = {
                 let mut world = shared.world();
+                let t_s = shared.clock.now_s();
                 let hearing = world.units.iter_mut().filter(|u| u.hears(&command, t_s));
                 hearing.map(|u| u.execute(&command, t_s).concat()).collect()
             };
@@ -99,8 +101,8 @@ fn serve_binary(shared: &BenchState, wire: &mut dyn Wire) -> io::Result<()> {
         pending.extend_from_slice(&bytes[..count]);
         let mut answers = Vec::new();
         {
-            let t_s = shared.clock.now_s();
             let mut world = shared.world();
+            let t_s = shared.clock.now_s();
             let Some(stage) = world.units.first_mut() else { break };
             answers.extend(face.update(&mut stage.axis, t_s));
             while let Some((six, rest)) = pending.split_first_chunk::<6>() {

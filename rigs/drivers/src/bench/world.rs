@@ -14,6 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use wcal_core::device::InterrogatorHealth;
+use wcal_core::shared_time::lives;
 
 /// One scan as the optics saw it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,8 +42,6 @@ pub struct World {
     skip: u64,
     schedule: VecDeque<ScheduledFault>,
     scanned: u64,
-    /// Longest time by which a scan was made too late, s.
-    behind_s: f64,
 }
 
 /// Scans kept for clients that are behind.
@@ -141,7 +140,6 @@ impl BenchState {
             skip: 0,
             schedule: schedule.into(),
             scanned: 0,
-            behind_s: 0.0,
         };
         Arc::new(Self {
             clock,
@@ -209,9 +207,16 @@ impl BenchState {
         *guard(&self.pause_until_s)
     }
 
-    /// Longest time by which the bench fell behind its own clock so far, s.
-    pub fn behind_s(&self) -> f64 {
-        self.world().behind_s
+    /// Whether the bench goes on; asked in every round of a thread that its time waits for.
+    pub fn goes_on(&self) -> bool {
+        lives(Duration::ZERO);
+        !self.stopping()
+    }
+
+    /// Wall time by which the scans that are made are behind.
+    pub fn behind(&self) -> Duration {
+        let made_s = self.world().scanned as f64 / self.scenario.interrogator.rate_hz;
+        self.clock.wall(self.clock.now_s() - made_s)
     }
 
     /// Whether no new connection is answered.
@@ -259,8 +264,6 @@ impl BenchState {
         let mut fresh = Vec::new();
         {
             let mut world = self.world();
-            let behind_s = now_s - world.scanned as f64 * period_s;
-            world.behind_s = world.behind_s.max(behind_s);
             while world.scanned as f64 * period_s <= now_s && fresh.len() < 20_000 {
                 let serial = world.scanned;
                 let scan = world.scan(serial, serial as f64 * period_s, &self.scenario);

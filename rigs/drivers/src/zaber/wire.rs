@@ -1,6 +1,5 @@
 //! The byte link to a chain of units: a serial port or TCP, buffered, with one meaning of "timed out" and one deadline an exchange.
 
-use crate::host::is_timeout;
 use crate::{link, trouble};
 use serialport::{SerialPort, TTYPort};
 use std::io::{self, ErrorKind, Read, Write};
@@ -65,32 +64,17 @@ impl ByteLink for TcpStream {
 
 impl ByteLink for TTYPort {
     fn receive(&mut self, into: &mut [u8], deadline: &Deadline) -> io::Result<usize> {
-        loop {
-            self.set_timeout(deadline.slice())?;
-            match self.read(into) {
-                Ok(0) => return Err(io::Error::new(ErrorKind::BrokenPipe, "the link is closed")),
-                Err(e) if is_timeout(&e) || e.kind() == ErrorKind::Interrupted => {
-                    if deadline.is_over() {
-                        return Err(ErrorKind::TimedOut.into());
-                    }
-                }
-                other => return other,
-            }
-        }
+        link::attempts(deadline, |slice| {
+            self.set_timeout(slice)?;
+            self.read(into)
+        })
     }
 
     fn send(&mut self, bytes: &[u8], deadline: &Deadline) -> io::Result<usize> {
-        loop {
-            self.set_timeout(deadline.slice())?;
-            match self.write(bytes) {
-                Err(e) if is_timeout(&e) || e.kind() == ErrorKind::Interrupted => {
-                    if deadline.is_over() {
-                        return Err(ErrorKind::TimedOut.into());
-                    }
-                }
-                other => return other,
-            }
-        }
+        link::attempts(deadline, |slice| {
+            self.set_timeout(slice)?;
+            self.write(bytes)
+        })
     }
 }
 
@@ -128,6 +112,8 @@ pub struct Wire {
     /// Longest pause between two bytes.
     timeout: Option<Duration>,
     deadline: Deadline,
+    /// What had come at its end was looked for.
+    looked: bool,
     name: String,
 }
 
@@ -149,12 +135,13 @@ impl Wire {
 
     /// Over an open link; `name` is for messages.
     pub fn over(link: Box<dyn ByteLink>, name: String, deadline: Deadline) -> Self {
-        Self { link, buffer: Vec::new(), at: 0, timeout: None, deadline, name }
+        Self { link, buffer: Vec::new(), at: 0, timeout: None, deadline, looked: false, name }
     }
 
     /// Begins an exchange: all reading and writing from here on ends with this deadline.
     pub fn until(&mut self, deadline: Deadline) {
         self.deadline = deadline;
+        self.looked = false;
     }
 
     /// Waits between two questions, not beyond the deadline.
@@ -166,7 +153,7 @@ impl Wire {
     pub fn drain(&mut self, quiet: Duration) {
         let before = (self.timeout, self.deadline.clone());
         self.timeout = Some(quiet);
-        self.deadline = Deadline::uninterruptible(DRAIN);
+        self.until(Deadline::uninterruptible(DRAIN));
         let mut scrap = [0_u8; 256];
         // Not an error here: the use that follows reports a broken link.
         while matches!(self.read(&mut scrap), Ok(n) if n > 0) {}
@@ -182,11 +169,11 @@ impl Wire {
 
 impl Read for Wire {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        // A unit that never stops sending does not prolong the exchange.
-        if self.deadline.is_over() {
-            return Err(ErrorKind::TimedOut.into());
-        }
         if self.at == self.buffer.len() {
+            // A unit that never stops sending does not prolong the exchange; what came while this program did not get to run is read.
+            if self.deadline.is_over() && std::mem::replace(&mut self.looked, true) {
+                return Err(ErrorKind::TimedOut.into());
+            }
             self.buffer.resize(512, 0);
             self.at = 0;
             let received = self.receive();
@@ -231,5 +218,34 @@ fn not_opened(device: &str, port: &Port, error: &io::Error, deadline: &Deadline)
     match port {
         Port::Tcp(address) => trouble::of_connection(device, address, error, deadline),
         Port::Serial(path, _) => trouble::of_serial_port(device, path, error, deadline),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Always has something.
+    #[derive(Debug)]
+    struct Flood;
+
+    impl ByteLink for Flood {
+        fn receive(&mut self, into: &mut [u8], _: &Deadline) -> io::Result<usize> {
+            into.fill(7);
+            Ok(into.len())
+        }
+
+        fn send(&mut self, bytes: &[u8], _: &Deadline) -> io::Result<usize> {
+            Ok(bytes.len())
+        }
+    }
+
+    #[test]
+    fn what_has_come_at_the_end_is_read_once_and_a_flood_does_not_prolong_it() {
+        let over = Deadline::uninterruptible(Duration::ZERO);
+        let mut wire = Wire::over(Box::new(Flood), "unit".to_owned(), over);
+        let mut bytes = [0; 400];
+        let mut read = || wire.read(&mut bytes).map_err(|e| e.kind());
+        assert_eq!([read(), read(), read()], [Ok(400), Ok(112), Err(ErrorKind::TimedOut)]);
     }
 }

@@ -24,7 +24,7 @@ use wcal_drivers::hyperion::Hyperion;
 use wcal_drivers::sm130::Sm130;
 
 /// How long a slow machine may take.
-const PATIENCE: Duration = Duration::from_secs(20);
+const PATIENCE: Duration = Duration::from_secs(600);
 
 fn bench(extra: &str) -> VirtualBench {
     let text = format!("format = \"wcal-scenario/1\"\n{extra}");

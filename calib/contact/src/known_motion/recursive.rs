@@ -37,6 +37,7 @@ use super::episode::CorrelatedNoise;
 use super::posterior;
 use super::segmenter::Beginning;
 use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings, TABLE_MM};
+use crate::arc_posterior::ArcDensity;
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use node::{NodeFilter, Reading};
 use rayon::prelude::*;
@@ -233,13 +234,14 @@ impl RecursivePosterior {
         turn * field.free(0.5 * field.length_mm()).0 + displacement_mm
     }
 
-    /// Where the wire is held at a reading that was taken, and the posterior.
-    pub fn place(&self, field: &MomentField, row: &MotionRow) -> (EpisodeContact, Posterior) {
+    /// Where the wire is held at a reading that was taken, in space and along the wire.
+    pub fn place(&self, field: &MomentField, row: &MotionRow) -> (EpisodeContact, ArcDensity) {
         let posterior = self.posterior();
         let motion = motion_since(&self.reference, row);
         let path = ContactPath::of_reading(field, row, self.push, motion);
         let outlier = self.best().is_some_and(|n| n.last_outlier > 0.5);
-        (EpisodeContact { outlier, ..posterior.place(&path, 0) }, posterior)
+        let (place, arc) = posterior.place(&path, 0);
+        (EpisodeContact { outlier, ..place }, arc)
     }
 
     /// The posterior over arc length, onset and gap.

@@ -22,5 +22,6 @@ mod strokes;
 mod support;
 mod sweep_import;
 mod sweep_witness;
+mod tracked;
 mod twin;
 mod witness;

@@ -176,7 +176,7 @@ fn a_recording_of_a_sweep_is_tracked_by_its_own_stage() {
     assert!((10..=most).contains(&contacts), "{contacts}: {}", run.said);
     assert!(groove["compared"].as_u64() >= Some(25), "{groove}");
     assert!(run.end_mm() < 0.5 && groove["median_mm"].as_f64() < Some(0.5), "{groove}");
-    assert!(groove["coverage90"].as_f64() > Some(0.8), "{groove}");
+    assert!(groove["coverage95"].as_f64() > Some(0.8), "{groove}");
     assert!(run.with_status("motion-disagrees") * 20 <= run.cells.len(), "{}", run.said);
     // In contact each row has its regions.
     let (p, regions) = (run.column("contact_probability"), run.column("arclength_regions95"));

@@ -29,7 +29,7 @@ pub fn watch(
     done: &AtomicBool,
     clock_scale: f64,
 ) {
-    let _watched = Watched(monitor);
+    let _watched = Watched(|e| lock(monitor).fail_with(e));
     let mut refused = 0;
     let mut eyes = [(); 2].map(|()| CameraClock::new(clock_scale));
     let mut shown_s = f64::NEG_INFINITY;

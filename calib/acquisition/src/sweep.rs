@@ -85,17 +85,17 @@ impl SweepReport {
     }
 }
 
-/// A thread that records: one that panics is a fault of the sweep, which would wait for it.
-pub(crate) struct Watched<'a>(pub(crate) &'a Mutex<Monitor>);
+/// A thread that records: one that panics is a fault that is told to those who would wait for it.
+pub struct Watched<F: Fn(DeviceError)>(pub F);
 
-impl Drop for Watched<'_> {
+impl<F: Fn(DeviceError)> Drop for Watched<F> {
     fn drop(&mut self) {
         if std::thread::panicking() {
             let (kind, found) =
                 (DeviceErrorKind::CriticalFault, "a panic of the thread that records it (see above)");
             let error =
                 DeviceError::new(kind, "program", "record the stream", "a thread that goes on", found);
-            lock(self.0).fail_with(error);
+            (self.0)(error);
         }
     }
 }
@@ -107,7 +107,7 @@ pub fn acquire(
     recorder: &Recorder,
     done: &AtomicBool,
 ) {
-    let _watched = Watched(monitor);
+    let _watched = Watched(|e| lock(monitor).fail_with(e));
     if let Err(e) = interrogator.start().and_then(|()| stream(interrogator, monitor, recorder, done)) {
         lock(monitor).fail_with(e);
     }

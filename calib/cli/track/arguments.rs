@@ -18,8 +18,9 @@ use wcal_contact::whisker_track::Outcome;
 Where the motion is known, physics locates the contact; with --model a network does. Columns and
 status words: docs/src/formats.md; methods: docs/src/guide/tracking.md.
 
-Exit code 3: readings lost or flagged, or a motion that the network may not know. 4: outside the valid region, regions that miss the known
-groove, or a calibration or model that cannot be trusted: then nothing is written without --force.")]
+Exit code 3: readings lost or flagged, or a motion that the network may not know. 4: readings outside the valid region, or regions that
+miss the known groove: the table is written, and its rows say so. 4 as well: a calibration or model that cannot be trusted: nothing is
+written. With --force it is, and the exit code is 3 where rows are flagged, a missed groove included, else 0.")]
 pub struct TrackArgs {
     /// Table, recording (.mcap) or session; without it the rig's interrogator
     pub source: Option<PathBuf>,

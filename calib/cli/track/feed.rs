@@ -124,4 +124,19 @@ mod tests {
         roomy.scans(scans(0, 200)).unwrap();
         assert_eq!(roomy.dropped(), 0);
     }
+    /// Without the guard nobody heard of it, and the track waited for a thread that was gone.
+    #[test]
+    fn a_panic_of_the_thread_that_reads_is_told() {
+        let heard = |panics: bool| {
+            let (intake, receiver) = FeedInput::new(10, None);
+            let reads = || {
+                let _watched = wcal_acquisition::sweep::Watched(|e| intake.fail(e));
+                assert!(!panics, "a driver that fails");
+            };
+            let _ = std::thread::scope(|scope| scope.spawn(reads).join());
+            matches!(receiver.try_recv(), Ok(FeedItem::Failed(_)))
+        };
+        // Control: a thread that ends tells nothing.
+        assert!(heard(true) && !heard(false));
+    }
 }

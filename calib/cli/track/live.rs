@@ -21,6 +21,7 @@ use wcal_acquisition::record::open_interrogator;
 use wcal_acquisition::recorder::Recorder;
 use wcal_acquisition::replay::{Message, read};
 use wcal_acquisition::rig::Rig;
+use wcal_acquisition::sweep::Watched;
 use wcal_contact::groove_table::known_places;
 use wcal_contact::reading::MotionAccuracy;
 use wcal_contact::stream_source::{StreamFindings, StreamSettings, StreamSource, lost_text};
@@ -140,16 +141,18 @@ pub fn track(args: &TrackArgs, place: &str, rig: &Rig, loaded: &[WhiskerModel<'_
     let (intake, receiver) = FeedInput::new(QUEUE, recorder.clone());
     let carried = rig.base.as_ref().is_some_and(|b| b.carried_along.is_some());
     let tracked = std::thread::scope(|scope| {
-        scope.spawn(|| acquire(interrogator.as_mut(), &intake, &done));
-        if carried {
-            scope.spawn(|| watch_stage(rig, clock, &intake, &interrupt, &done));
-        }
+        let reader = scope.spawn(|| acquire(interrogator.as_mut(), &intake, &done));
+        let watcher = carried.then(|| scope.spawn(|| watch_stage(rig, clock, &intake, &interrupt, &done)));
         let ends = || done.load(Ordering::SeqCst) || interrupt.signal().is_some();
         let scans = Scans { ends: Some(&ends), ..Scans::new(args, &receiver, &mut stream, None) };
         let result = track_all(scans, &mut tracks, &mut files);
         done.store(true, Ordering::SeqCst);
         // Whoever waits for room must not wait for ever.
         drop(receiver);
+        // A thread that panicked has been a fault of the stream: what was tracked is kept.
+        for thread in std::iter::once(reader).chain(watcher) {
+            let _ = thread.join();
+        }
         result
     });
     let dropped = intake.dropped();
@@ -184,6 +187,7 @@ fn unrecorded(why: &impl std::fmt::Display) -> DeviceError {
 
 /// Reads the interrogator into the intake.
 fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &FeedInput, done: &AtomicBool) {
+    let _watched = Watched(|e| intake.fail(e));
     // From scan to scan; time in which this program itself stood still is not the unit's.
     let mut heard = Deadline::uninterruptible(SILENCE);
     if let Err(e) = interrogator.start() {
@@ -220,6 +224,7 @@ fn acquire(interrogator: &mut dyn wcal_core::device::Interrogator, intake: &Feed
 
 /// Asks the stage that carries the base where it is; it is never moved from here.
 fn watch_stage(rig: &Rig, clock: HostClock, intake: &FeedInput, interrupt: &Interrupt, done: &AtomicBool) {
+    let _watched = Watched(|e| intake.fail(e));
     // Two programs on one serial line take each other's replies.
     let serial = !rig.stage.port.starts_with("tcp://");
     let lock = serial.then(|| FileLock::of_port(&rig.stage.port, "track")).transpose();

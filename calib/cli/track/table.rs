@@ -109,9 +109,6 @@ pub fn of_session<'a>(session: &TrackedFolder, loaded: &'a WhiskerModel<'a>) -> 
 pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>) -> Result<Prepared<'a>> {
     let (frame, whisker) = (loaded.frame()?, loaded.whisker()?);
     let noise = loaded.file.noise.unwrap_or_default();
-    // An older file does not say; a fit whose noise is that of its readings has none.
-    let has_misfit =
-        loaded.file.noise.is_some_and(|n| n.misfit_sd_nmm.is_some() || n.reading_sd_nmm.is_none());
     let zero_known = loaded.calibration()?.knows_zero();
     let source = TableSource::read(path, (loaded.calibration()?, noise), &whisker)
         .with_context(|| loaded.place.display().to_string())?;
@@ -144,7 +141,7 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
         .with_tolerance(args.diameter_sd);
     if args.motion.is_none() && !has_motion(path)? {
         let mut readings = source.alone();
-        let tare_s = zero_span_s(args, path, &mut readings, (has_misfit, zero_known))?;
+        let tare_s = zero_span_s(args, path, &mut readings, zero_known)?;
         return Ok(prepared(
             readings,
             Box::new(ContactTracker::of_stream(wire, ACCURACY, ANY_OBJECT)),
@@ -157,8 +154,7 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
     let mut readings = source.along(&logged, &(base_from_wire * wire.middle_mm()));
     // A sweep passes an object: the contact slides over it.
     let over_object = path.parent().map(SweepSession::of).transpose()?.flatten().is_some();
-    // Readings of a sweep follow each other: what the poses of a calibration scatter by is no noise of theirs, but an error that they share.
-    let tare_s = zero_span_s(args, path, &mut readings, (has_misfit || over_object, zero_known))?;
+    let tare_s = zero_span_s(args, path, &mut readings, zero_known)?;
     let touched = if over_object { SWEPT_OBJECT } else { ANY_OBJECT };
     let estimator = ContactTracker::of_record(wire, ACCURACY, touched);
     Ok(prepared(readings, Box::new(estimator), (false, tare_s), Some(log_document(file, &logged))))
@@ -168,27 +164,23 @@ pub fn of_table<'a>(args: &TrackArgs, path: &Path, loaded: &'a WhiskerModel<'a>)
 pub const NO_ZERO: &str = "expected free readings at the beginning, or their time by --tare-s: the calibration does not know the zero of the \
      free wire (fit-gpr left out its readings at rest); found neither";
 
-/// Time whose mean moments are the zero of a table, s: the one that is stated, else its free beginning, which also says how large the
-/// readings' own noise is where the calibration does not.
+/// Time whose mean moments are the zero of a table, s: the one that is stated, else its free beginning, which says what the readings' own noise
+/// is, too; what the poses of the calibration scatter by beyond it is an error that they share.
 ///
 /// # Errors
 /// Where there is none, and the calibration does not know the zero of the free wire.
-fn zero_span_s(
-    args: &TrackArgs,
-    path: &Path,
-    readings: &mut [Reading],
-    (has_misfit, zero_known): (bool, bool),
-) -> Result<f64> {
+fn zero_span_s(args: &TrackArgs, path: &Path, readings: &mut [Reading], zero_known: bool) -> Result<f64> {
+    let begins = beginning(readings, zero_known);
+    if let FreeStart::Free { noise_nmm2, inefficiency, .. } = begins {
+        for m in readings.iter_mut().filter_map(|r| r.moments.as_mut()) {
+            (m.own_nmm2, m.inefficiency) = (Some(noise_nmm2), inefficiency);
+        }
+    }
     if let Some(span_s) = args.tare_s {
         return Ok(span_s);
     }
-    Ok(match beginning(readings, zero_known) {
-        FreeStart::Free { span_s, readings: free, noise_nmm2 } => {
-            // Where what the law leaves may be misfit, the free readings say what is noise.
-            let all = readings.iter_mut().filter_map(|r| r.moments.as_mut()).filter(|_| has_misfit);
-            all.for_each(|m| {
-                m.own_nmm2.get_or_insert(noise_nmm2);
-            });
+    Ok(match begins {
+        FreeStart::Free { span_s, readings: free, .. } => {
             eprintln!("{}: zero: the mean of the {free} free readings at its beginning", path.display());
             span_s
         }

@@ -3,6 +3,7 @@
 //! The density is constant in each of its cells. A region holds cells in the order of their density until it has 95 % of the mass; neighbours
 //! are one piece (G. E. P. Box, G. C. Tiao, "Bayesian Inference in Statistical Analysis", 1973, 2.8).
 
+use crate::known_motion::posterior::normal_share;
 use nalgebra::{Matrix3, Vector3};
 
 /// Mass of the stated regions.
@@ -11,6 +12,11 @@ pub const REGION: f64 = 0.95;
 const PARTS: [f64; 2] = [8.0, 32.0];
 const PART_MM: f64 = 0.02;
 const MIN_MM: f64 = 1e-3;
+/// Cells of normal distributions: in a standard deviation, their largest width, mm, and most of them; standard deviations that are looked at.
+const CELLS_A_SD: f64 = 4.0;
+const CELL_MM: f64 = 0.1;
+const MAX_CELLS: f64 = 400.0;
+const SDS: f64 = 4.5;
 /// Ends of cells nearer than this are one, mm.
 const SAME_MM: f64 = 1e-6;
 /// Relative rounding of masses and densities.
@@ -19,7 +25,7 @@ const ROUNDING: f64 = 1e-6;
 /// A piece of the 95 % region along the wire.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, schemars::JsonSchema)]
 pub struct Region {
-    /// Arc length of first touch from and to, mm.
+    /// Arc length from and to, mm.
     pub from_mm: f64,
     /// To, mm.
     pub to_mm: f64,
@@ -83,6 +89,30 @@ impl ArcDensity {
                 .map(|(k, p)| part(k, p))
                 .collect(),
         )
+    }
+
+    /// The mixture of normal distributions (weight, mean and standard deviation, mm) along a wire; what lies past its tip is at the tip.
+    pub fn of_normals(parts: &[(f64, f64, f64)], length_mm: f64) -> Self {
+        let least = parts.iter().map(|p| p.2).fold(f64::INFINITY, f64::min);
+        let ends = |sign: f64| parts.iter().map(move |p| (p.1 + sign * SDS * p.2).clamp(0.0, length_mm));
+        let [from, to] = [ends(-1.0).fold(length_mm, f64::min), ends(1.0).fold(0.0, f64::max)];
+        let width_mm = (least / CELLS_A_SD).clamp(MIN_MM, CELL_MM).max((to - from) / MAX_CELLS);
+        let count = ((to - from) / width_mm).ceil().max(1.0) as usize;
+        let at = |k: usize| to - width_mm * (count - k) as f64;
+        let mut cells: Vec<Region> =
+            (0..count).map(|k| Region { from_mm: at(k), to_mm: at(k + 1), probability: 0.0 }).collect();
+        for (weight, mean, sd) in parts {
+            // Mass of a cell: difference of the normal distribution function at its ends.
+            let is_tip = |c: &Region| c.to_mm >= length_mm - SAME_MM;
+            let near =
+                |c: &&mut Region| is_tip(c) || (c.from_mm - SDS * sd..=c.to_mm + SDS * sd).contains(mean);
+            for cell in cells.iter_mut().filter(near) {
+                let [low, high] = [cell.from_mm, cell.to_mm].map(|end| normal_share((end - mean) / sd));
+                let high = if is_tip(cell) { 1.0 } else { high };
+                cell.probability += weight * (high - low);
+            }
+        }
+        Self::normalised(cells)
     }
 
     /// The same density over a whole wire.

@@ -102,7 +102,7 @@ impl CalibratedWire {
         Some(MotionRow {
             t_s: reading.t_s,
             moment_nmm: m.moment_nmm,
-            noise_nmm2: m.own_nmm2.unwrap_or(m.pose_nmm2),
+            noise_nmm2: m.own_nmm2.unwrap_or(m.pose_nmm2) * m.inefficiency.max(1.0),
             free_nmm2: m.own_nmm2.map(|own| own + m.zero_nmm2),
             shared_displacement_mm: reading.shared_displacement_mm.clone(),
             shared_nmm: self.shared_columns(m),

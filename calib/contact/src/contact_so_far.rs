@@ -88,22 +88,14 @@ impl ContactSoFar {
     ) -> Result<Contact, ContactError> {
         let disagrees = !self.innovations().consistent();
         let slid = if is_loaded { self.weighed(of, row, (disagrees, pose_nmm2))? } else { None };
-        let place = |p: &RecursivePosterior| {
-            let (place, posterior) = p.place(&of.wire.field, row);
-            (place, posterior.arc())
-        };
-        let places: Vec<_> = self.posteriors.iter().map(place).collect();
-        self.regions = places.last().map(|p| p.1.regions()).unwrap_or_default();
+        let places: Vec<_> = self.posteriors.iter().map(|p| p.place(&of.wire.field, row)).collect();
+        self.regions = self.posteriors.last().map(|p| p.posterior().regions()).unwrap_or_default();
         let weights = &self.weights;
         let points = weights.points().into_iter().map(|(weight, ..)| weight).zip(places);
         let slides = slid.map(|slid| (weights.regimes.of(Regime::Sliding), slid));
         let all: Vec<Alternative> = points.chain(slides).map(Alternative::from).collect();
-        let flags = match is_loaded {
-            true => weights.flags(disagrees, false),
-            // Outside of a contact nothing is in doubt.
-            false if disagrees && !weights.slides() => Flags::MOTION_DISAGREES,
-            false => Flags::default(),
-        };
+        // Outside of a contact nothing is in doubt.
+        let flags = if is_loaded { weights.flags(disagrees, false) } else { Flags::default() };
         Ok(Contact::averaged(&all, flags, |place| place.contact >= TOUCHED))
     }
 
@@ -130,8 +122,9 @@ impl ContactSoFar {
             blocks: self.blocks.means.at_middles().iter().map(noisy).collect(),
             factors: false,
         };
-        let sliding = self.sliding.as_ref().map_or(OUT, |s| s.ln_evidence(blocks));
-        self.weights = weighed.evidence(of.prior, [sliding, OUT], false).weights(&[]);
+        // Nothing slides while a point that stays explains the readings.
+        let sliding = self.sliding.as_ref().map_or(Some(OUT), |s| s.ln_evidence(blocks));
+        self.weights = weighed.evidence(of.prior, sliding.map(|ln| [ln, OUT]), false).weights(&[]);
         if self.sliding.is_none() && (disagrees || self.weights.regimes.of(Regime::Fixed) < 0.5) {
             self.sliding = Some(SlidingStream::new(of.wire.touched()?));
         }

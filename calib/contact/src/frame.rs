@@ -38,6 +38,7 @@ fn turned(frame: &WireFrame, m: &Moments) -> Moments {
         valid: m.valid,
         pose_nmm2,
         own_nmm2: m.own_nmm2.map(|n| frame.covariance(&n)),
+        inefficiency: m.inefficiency,
         drift_nmm2: frame.covariance(&m.drift_nmm2),
         zero_nmm2: frame.covariance(&m.zero_nmm2),
         shared_nmm,

@@ -30,6 +30,8 @@ pub struct Moments {
     pub pose_nmm2: Matrix2<f64>,
     /// Covariance R of the reading's own noise, where it is known, (N mm)^2.
     pub own_nmm2: Option<Matrix2<f64>>,
+    /// Statistical inefficiency of the reading's own noise: so many in a row say as much as one that is independent; 0 where it is not known.
+    pub inefficiency: f64,
     /// Covariance of the drift of the zero within a record, (N mm)^2; 0 where none is known.
     pub drift_nmm2: Matrix2<f64>,
     /// Covariance Z of what is not known of the zero, (N mm)^2 ([`crate::zero`]).

@@ -98,14 +98,23 @@ impl RegimeWeights {
         self.of(Regime::Misstated) + self.of(Regime::Anywhere)
     }
 
-    /// By the logarithms of the evidence, in the order of [`REGIMES`].
-    pub fn after(&self, ln_evidence: &[f64; 5]) -> Self {
+    /// By the logarithms of the evidence, in the order of [`REGIMES`]. A way that could not be looked at keeps its probability: what its readings
+    /// would have said is not known.
+    pub fn after(&self, ln_evidence: &[Option<f64>; 5]) -> Self {
         // Bayes' rule with the evidence to a power (a power posterior: readings are not as independent as they count).
-        let ln = |k: usize| self.0[k].ln() + POWER * ln_evidence[k];
-        let best = (0..5).map(ln).fold(f64::NEG_INFINITY, f64::max);
-        let all: [f64; 5] = std::array::from_fn(|k| (ln(k) - best).exp());
-        let total: f64 = all.iter().sum();
-        if total.is_finite() { Self(all.map(|w| w / total)) } else { *self }
+        let ln = |k: usize| ln_evidence[k].map(|e| self.0[k].ln() + POWER * e);
+        let best = (0..5).filter_map(ln).fold(OUT, f64::max);
+        let all: [Option<f64>; 5] = std::array::from_fn(|k| Some((ln(k)? - best).exp()));
+        let total = all.iter().flatten().sum::<f64>() / (1.0 - self.untried(ln_evidence));
+        if !total.is_finite() {
+            return *self;
+        }
+        Self(std::array::from_fn(|k| all[k].map_or(self.0[k], |w| w / total)))
+    }
+
+    /// Probability of the ways that could not be looked at.
+    fn untried(&self, ln_evidence: &[Option<f64>; 5]) -> f64 {
+        self.0.iter().zip(ln_evidence).filter(|(_, ln)| ln.is_none()).map(|(p, _)| p).sum()
     }
 
     /// Where a surface explains all blocks of a motion one way: creeping is the first order of sliding over it, straight and steady; what its few
@@ -180,6 +189,8 @@ pub struct ContactWeights {
     pub regimes: RegimeWeights,
     /// Shares of [`CREEP_SDS`] among those that creep.
     pub creeping: [f64; 3],
+    /// Weight of the ways that could not be looked at.
+    pub untried: f64,
     /// The likeliest misstatement, and with it the probabilities of a fixed point and of one that slides.
     pub misstatement: Option<(Misstatement, [f64; 2])>,
 }
@@ -187,13 +198,18 @@ pub struct ContactWeights {
 impl ContactWeights {
     /// Before any reading; ways that are not looked at yet have none.
     pub fn prior(prior: RegimeWeights) -> Self {
-        let regimes = prior.after(&[0.0, 0.0, OUT, OUT, OUT]);
-        Self { regimes, creeping: [1.0 / 3.0; 3], misstatement: None }
+        let regimes = prior.after(&[0.0, 0.0, OUT, OUT, OUT].map(Some));
+        Self { regimes, creeping: [1.0 / 3.0; 3], untried: 0.0, misstatement: None }
     }
 
     /// Whether it slides rather than anything else.
     pub fn slides(&self) -> bool {
-        self.regimes.of(Regime::Sliding) > 0.5
+        self.certain() == Some(Regime::Sliding)
+    }
+
+    /// The regime that is more probable than all others together; none where a way that may be could not be looked at.
+    pub fn certain(&self) -> Option<Regime> {
+        self.regimes.certain().filter(|_| self.untried <= MIN_MISTAKE)
     }
 
     /// Of one that slides, whatever is misstated.
@@ -209,14 +225,15 @@ impl ContactWeights {
     }
 
     /// What stays in doubt: moments and motion that do not belong together, by the weights or by what a point leaves (`point_disagrees`), and
-    /// a sliding contact that may be lost (not `sure`).
+    /// a sliding contact that may be lost (not `sure`), or a way that could not be looked at.
     pub fn flags(&self, point_disagrees: bool, sure: bool) -> Flags {
-        match (self.regimes.no_motion() > 0.5, self.slides()) {
+        let undecided = if self.untried > MIN_MISTAKE { Flags::UNDECIDED } else { Flags::default() };
+        undecided.with(match (self.regimes.no_motion() > 0.5, self.slides()) {
             (false, true) if sure => Flags::default(),
             (false, true) => Flags::SLIDING_ASSUMED,
             (false, false) if !point_disagrees => Flags::default(),
             _ => Flags::MOTION_DISAGREES,
-        }
+        })
     }
 
     /// The ways of a contact at or near a point with their weights: how much it creeps, and what is misstated.
@@ -248,8 +265,9 @@ pub struct Weighed<'a> {
 }
 
 impl Weighed<'_> {
-    /// ln p(m) of a point that creeps by a share with this standard deviation where something is misstated.
-    fn point(&self, creep_sd: f64, misstated: Misstatement) -> f64 {
+    /// ln p(m) of a point that creeps by a share with this standard deviation where something is misstated; none without blocks, and where the push
+    /// runs along the wire.
+    fn point(&self, creep_sd: f64, misstated: Misstatement) -> Option<f64> {
         let (blocks, settings) = misstated.undone(&self.blocks, &self.settings);
         let before = self
             .before
@@ -258,14 +276,15 @@ impl Weighed<'_> {
         let push = if misstated.reversed { -self.push } else { self.push };
         // A density per N mm of what was read.
         let by_factor = 2.0 * blocks.len() as f64 * misstated.factor.ln();
-        point_evidence(self.field, &Settings { creep_sd, ..settings }, push, before.as_ref(), &blocks)
-            - by_factor
+        let settings = Settings { creep_sd, ..settings };
+        Some(point_evidence(self.field, &settings, push, before.as_ref(), &blocks)? - by_factor)
     }
 
-    /// What the blocks say, with ln p(m) of a surface along the motion and along the reversed one; `whole`: the surface explains all blocks.
-    pub fn evidence(&self, prior: RegimeWeights, sliding: [f64; 2], whole: bool) -> ContactEvidence {
+    /// What the blocks say, with ln p(m) of a surface along the motion and along the reversed one, where one could be made; `whole`: the surface explains all blocks.
+    pub fn evidence(&self, prior: RegimeWeights, sliding: Option<[f64; 2]>, whole: bool) -> ContactEvidence {
+        let point = |creep_sd: f64, m: Misstatement| self.point(creep_sd, m).unwrap_or(OUT);
         let creeping = match prior.of(Regime::Creeping) > 0.0 {
-            true => CREEP_SDS.map(|sd| self.point(sd, Misstatement::NONE)),
+            true => CREEP_SDS.map(|sd| point(sd, Misstatement::NONE)),
             false => [OUT; 3],
         };
         let fixed = self.point(0.0, Misstatement::NONE);
@@ -275,7 +294,7 @@ impl Weighed<'_> {
         // A surface has no point; a stream looks at a mistake where a fixed point does not explain the readings as they are.
         let fixed_explains = || own.weights(&[]).regimes.of(Regime::Fixed) >= 0.5;
         if self.factors || !fixed_explains() {
-            let point = |m: Misstatement| if whole { OUT } else { self.point(0.0, m) };
+            let point = |m: Misstatement| if whole { OUT } else { point(0.0, m) };
             let all = Misstatement::all(if self.factors { FACTORS } else { 0 });
             own.misstated = all.map(|m| (m, point(m))).collect();
         }
@@ -289,9 +308,10 @@ const MAX_LN_EVIDENCE: f64 = 30.0;
 /// ln p(m) of a contact's blocks by how it moves.
 pub struct ContactEvidence {
     prior: RegimeWeights,
-    fixed: f64,
+    /// None where it could not be looked at.
+    fixed: Option<f64>,
     creeping: [f64; 3],
-    sliding: [f64; 2],
+    sliding: Option<[f64; 2]>,
     anywhere: f64,
     whole: bool,
     /// Of a fixed point, by what is misstated.
@@ -306,7 +326,7 @@ impl ContactEvidence {
         let ways = [
             (Regime::Fixed, if self.whole { OUT } else { fixed }),
             (Regime::Creeping, if reversed { OUT } else { ln_mean(&self.creeping) }),
-            (Regime::Sliding, self.sliding[usize::from(reversed)]),
+            (Regime::Sliding, self.sliding.map_or(OUT, |s| s[usize::from(reversed)])),
         ];
         ways.map(|(way, ln)| (self.prior.of(way) / total).ln() + ln)
     }
@@ -318,7 +338,7 @@ impl ContactEvidence {
 
     /// ln p(m) under each of what may be misstated, over that of the readings as they are.
     pub fn of_misstatements(&self) -> Vec<f64> {
-        let stated = ln_sum(&self.ways(self.fixed, false));
+        let stated = ln_sum(&self.ways(self.fixed.unwrap_or(OUT), false));
         let over =
             |ln: f64| if ln == stated { 0.0 } else { (ln - stated).clamp(-MAX_LN_EVIDENCE, MAX_LN_EVIDENCE) };
         self.under().map(|(_, ways)| over(ln_sum(&ways))).collect()
@@ -330,13 +350,16 @@ impl ContactEvidence {
         let all: Vec<(f64, Misstatement, [f64; 3])> =
             self.under().zip(others).map(|((m, ways), others)| (ln_sum(&ways) + others, m, ways)).collect();
         let misstated = ln_mean(&all.iter().map(|a| a.0).collect::<Vec<_>>());
-        let ways = [self.fixed, ln_mean(&self.creeping), self.sliding[0], misstated, self.anywhere];
+        let creeping = self.fixed.map(|_| ln_mean(&self.creeping));
+        let sliding = self.sliding.map(|s| s[0]);
+        let ways = [self.fixed, creeping, sliding, Some(misstated), Some(self.anywhere)];
         let regimes = self.prior.after(&ways);
         let best = all.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
         let shares_of = |ways: [f64; 3]| [ways[0], ways[2]].map(|ln| (ln - ln_sum(&ways)).exp());
         ContactWeights {
             regimes: if self.whole { regimes.of_one_surface() } else { regimes },
             creeping: shares(&self.creeping),
+            untried: self.prior.untried(&ways),
             misstatement: best.map(|(_, m, ways)| (m, shares_of(ways))),
         }
     }
@@ -368,14 +391,13 @@ fn point_evidence(
     push: Vector3<f64>,
     before: Option<&MotionRow>,
     blocks: &[MotionRow],
-) -> f64 {
+) -> Option<f64> {
     // What the wire's model is off at a block is a draw for each block, as the sliding contact has it.
     let noisy = |row: &MotionRow| MotionRow { noise_nmm2: row.noise_nmm2 + model_nmm2(row), ..row.clone() };
     let settings = Settings { correlated: None, ..*settings };
     let lead: Vec<MotionRow> = before.map(noisy).into_iter().collect();
-    let Some((first, others)) = blocks.split_first() else { return f64::NEG_INFINITY };
-    let started = RecursivePosterior::start(field, settings, push, &lead, &noisy(first));
-    let Some(mut posterior) = started else { return f64::NEG_INFINITY };
+    let (first, others) = blocks.split_first()?;
+    let mut posterior = RecursivePosterior::start(field, settings, push, &lead, &noisy(first))?;
     others.iter().for_each(|row| posterior.push(field, &noisy(row)));
     // Every regime predicts the free reading alike.
     let free = |row: &MotionRow| {
@@ -384,7 +406,7 @@ fn point_evidence(
         let size2 = row.moment_nmm[0].powi(2) + row.moment_nmm[1].powi(2);
         -0.5 * size2 / variance - (std::f64::consts::TAU * variance).ln()
     };
-    posterior.ln_evidence(field) - lead.iter().map(free).sum::<f64>()
+    Some(posterior.ln_evidence(field) - lead.iter().map(free).sum::<f64>())
 }
 
 /// What a regime states of a reading, with its weight.
@@ -421,17 +443,35 @@ mod tests {
 
     #[test]
     fn evidence_moves_the_weights_and_no_evidence_leaves_them() {
-        assert_eq!(ANY_OBJECT.after(&[0.0; 5]).certain(), None);
-        let told = ANY_OBJECT.after(&[0.0, 0.0, 10.0, -5.0, 0.0]);
+        let after = |ln: [f64; 5]| ANY_OBJECT.after(&ln.map(Some));
+        assert_eq!(after([0.0; 5]).certain(), None);
+        let told = after([0.0, 0.0, 10.0, -5.0, 0.0]);
         assert_eq!(told.certain(), Some(Regime::Sliding));
         assert!(told.at_a_point() + told.no_motion() < 1e-2);
-        assert_eq!(ANY_OBJECT.after(&[f64::NEG_INFINITY; 5]), ANY_OBJECT);
+        assert_eq!(after([OUT; 5]), ANY_OBJECT);
         // A straight creep is the surface that it approximates; the surface alone stays what it is.
-        let creeps = ANY_OBJECT.after(&[-20.0, 20.0, 0.0, -99.0, -99.0]);
+        let creeps = after([-20.0, 20.0, 0.0, -99.0, -99.0]);
         assert_eq!(creeps.certain(), Some(Regime::Creeping));
         assert_eq!(creeps.of_one_surface().certain(), Some(Regime::Sliding));
         assert!(told.of_one_surface().of(Regime::Sliding) >= told.of(Regime::Sliding));
         // A groove holds the wire at one point, whatever the evidence of creeping.
-        assert_eq!(GROOVE.after(&[0.0, 100.0, 0.0, 0.0, 0.0]).of(Regime::Creeping), 0.0);
+        assert_eq!(GROOVE.after(&[0.0, 100.0, 0.0, 0.0, 0.0].map(Some)).of(Regime::Creeping), 0.0);
+    }
+
+    #[test]
+    fn a_way_that_could_not_be_looked_at_keeps_its_prior() {
+        let untried = [Some(30.0), Some(0.0), None, Some(0.0), Some(0.0)];
+        let told = ANY_OBJECT.after(&untried);
+        assert!((told.of(Regime::Sliding) - 0.28).abs() < 1e-12 && told.of(Regime::Fixed) > 0.7, "{told:?}");
+        let weights = |ln: &[Option<f64>; 5]| {
+            let (regimes, untried) = (ANY_OBJECT.after(ln), ANY_OBJECT.untried(ln));
+            ContactWeights { regimes, untried, ..ContactWeights::prior(ANY_OBJECT) }
+        };
+        assert_eq!(weights(&untried).certain(), None);
+        assert!(weights(&untried).flags(false, false).has(Flags::UNDECIDED));
+        // Control: one that was looked at and explains nothing has none.
+        let tried = weights(&[Some(30.0), Some(0.0), Some(OUT), Some(0.0), Some(0.0)]);
+        assert_eq!((tried.regimes.of(Regime::Sliding), tried.certain()), (0.0, Some(Regime::Fixed)));
+        assert!(tried.flags(false, false).none());
     }
 }

@@ -6,6 +6,7 @@ use crate::reading::Reading;
 use crate::track_table::TrackFiles;
 use crate::whisker_track::WhiskerTrack;
 use std::time::{Duration, Instant};
+use wcal_core::stream::Flags;
 
 /// Rows stay in memory no longer than this where a source is slow.
 const FLUSH: Duration = Duration::from_millis(500);
@@ -54,6 +55,11 @@ pub fn track<E: From<ContactError>>(
     }
     for track in tracks {
         track.finish()?.iter().try_for_each(|row| files.row(row))?;
+        // Known at the end alone.
+        if track.coverage_rejected() {
+            files.flag(track.name(), Flags::GROOVE_MISSED)?;
+            track.flag_all();
+        }
     }
     files.flush()?;
     fault.map_or(Ok(spent), Err)

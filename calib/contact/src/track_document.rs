@@ -3,7 +3,7 @@
 use crate::arc_posterior::Region;
 use crate::known_motion::{EpisodeEstimate, Innovations, Posterior};
 use crate::mesh_score::MeshScore;
-use crate::regimes::{MIN_WEIGHT, REGIMES, Regime, RegimeWeights};
+use crate::regimes::{ContactWeights, MIN_WEIGHT, REGIMES, Regime};
 use crate::sliding::SlidingContact;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -162,7 +162,7 @@ pub struct ContactDocument {
     /// Identifier of a session's trajectory.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trajectory: Option<u32>,
-    /// Regions of the posterior along the wire; null where nothing was found, or where they change from reading to reading.
+    /// Regions of first touch along the wire; null where nothing was found, or where they change from reading to reading.
     pub regions: Option<Vec<Region>>,
     /// Sum of squares of the innovations.
     pub chi2: f64,
@@ -227,12 +227,14 @@ impl ContactDocument {
     /// Of a table's contact, and as the likeliest one at a point.
     pub fn of_table(
         point: &EpisodeEstimate,
-        weights: &RegimeWeights,
+        weights: &ContactWeights,
         sliding: &SlidingContact,
         [from_s, to_s]: [f64; 2],
         readings: usize,
     ) -> Self {
         let own = Self::new(&point.innovations, readings);
+        let certain = weights.certain();
+        let weights = &weights.regimes;
         let at_a_point = weights.at_a_point() > 1.0 - MIN_WEIGHT;
         let may_slide = weights.of(Regime::Sliding) > MIN_WEIGHT;
         Self {
@@ -240,7 +242,7 @@ impl ContactDocument {
             from_s: Some(from_s),
             to_s: Some(to_s),
             disagreement: own.disagreement.filter(|_| weights.of(Regime::Sliding) <= 0.5),
-            contact: Some(weights.certain().map_or("undecided", Regime::name)),
+            contact: Some(certain.map_or("undecided", Regime::name)),
             weights: Some(REGIMES.iter().map(|r| (r.name(), weights.of(*r))).collect()),
             sliding: Some(may_slide.then_some(SlidingDocument {
                 log_evidence: sliding.evidence,
@@ -295,8 +297,8 @@ pub struct GrooveScore {
     pub p95_mm: f64,
     /// Largest, mm.
     pub largest_mm: f64,
-    /// Share in the stated 90 % regions.
-    pub coverage90: Option<f64>,
+    /// Share in the stated 95 % regions.
+    pub coverage95: Option<f64>,
 }
 
 /// The log of a table's motion.

@@ -129,6 +129,32 @@ impl TrackFiles {
         written.map_err(ContactError::file("writing", &self.out))
     }
 
+    /// Adds a flag to the status of all rows of a whisker that were written.
+    ///
+    /// # Errors
+    /// When the disk does not take it.
+    pub fn flag(&mut self, whisker: &str, flag: Flags) -> Result<(), ContactError> {
+        self.flush()?;
+        let out = &self.out;
+        let text = std::fs::read_to_string(out).map_err(ContactError::file("reading", out))?;
+        let at = |name: &str| COLUMNS.split(',').position(|column| column == name).unwrap_or_default();
+        let (name, status) = (at("whisker"), at("status"));
+        let flagged = |line: &str| {
+            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+            if cells[name] == whisker {
+                let before = Some(&cells[status]).filter(|s| *s != "ok").map(|s| format!("{s}|"));
+                cells[status] = before.unwrap_or_default() + &flag.text();
+            }
+            cells.join(",") + "\n"
+        };
+        let (header, rows) = text.split_once('\n').unwrap_or_default();
+        let text = format!("{header}\n") + &rows.lines().map(flagged).collect::<String>();
+        wcal_core::files::write_atomic(out, text.as_bytes()).map_err(ContactError::file("writing", out))?;
+        let file = File::options().append(true).open(out);
+        self.rows = BufWriter::new(file.map_err(ContactError::file("opening", out))?);
+        Ok(())
+    }
+
     /// Brings everything so far into the files.
     ///
     /// # Errors

@@ -20,11 +20,6 @@ use wcal_track::{InverseGrid, StaticInverse, Tracker};
 pub struct TrustIssues(Vec<TrustIssue>);
 
 impl TrustIssues {
-    /// Whether there are none.
-    pub fn none(&self) -> bool {
-        self.0.is_empty()
-    }
-
     /// Codes with `|` between them.
     pub fn codes(&self) -> String {
         self.0.iter().map(TrustIssue::code).collect::<Vec<_>>().join("|")

@@ -161,6 +161,17 @@ impl<'a> WhiskerTrack<'a> {
         }
     }
 
+    /// Whether the stated regions do not hold a known groove.
+    pub fn coverage_rejected(&self) -> bool {
+        self.estimator.findings().groove.iter().flatten().any(coverage_rejected)
+            || self.groove.as_ref().is_some_and(KnownGroove::coverage_rejected)
+    }
+
+    /// All of its rows are flagged.
+    pub(crate) fn flag_all(&mut self) {
+        self.flagged = self.rows;
+    }
+
     /// Distances of the contacts on the object; none without one, or for few contacts.
     pub fn object_score(&self) -> Option<MeshScore> {
         MeshScore::new(self.distances_mm.clone())
@@ -197,8 +208,7 @@ impl<'a> WhiskerTrack<'a> {
             messages,
             outcome: Outcome {
                 outside: self.outside > 0,
-                coverage_rejected: found.groove.iter().flatten().any(coverage_rejected)
-                    || groove.is_some_and(KnownGroove::coverage_rejected),
+                coverage_rejected: self.coverage_rejected(),
                 lost: found.lost,
                 doubt: found.doubt,
             },
@@ -253,7 +263,7 @@ impl Outcome {
                 "readings lie outside the valid region: calibrate up to their moments, or take them with --force",
             ),
             (
-                self.coverage_rejected && !forced,
+                self.coverage_rejected,
                 "stated regions do not hold the known groove: look for a groove that moved, or verify the calibration anew",
             ),
             (
@@ -271,7 +281,10 @@ impl Outcome {
 
     /// Exit code of the program: 4 before 3 before 0; `forced`: the user takes what is not good enough.
     pub fn exit_code(self, forced: bool) -> u8 {
-        match ((self.outside || self.coverage_rejected) && !forced, self.lost || self.doubt) {
+        match (
+            (self.outside || self.coverage_rejected) && !forced,
+            self.lost || self.doubt || self.coverage_rejected,
+        ) {
             (true, _) => 4,
             (false, true) => 3,
             (false, false) => 0,

@@ -9,7 +9,7 @@ use crate::known_motion::contact_path::{ContactPath, loaded};
 use crate::known_motion::recursive::LEAD;
 use crate::known_motion::segmenter::Segmenter;
 use crate::known_motion::{
-    Episode, EpisodeContact, EpisodeEstimate, MomentField, MotionRow, Posterior, Settings, estimate_contact,
+    Episode, EpisodeContact, EpisodeEstimate, MomentField, MotionRow, Settings, estimate_contact,
 };
 use crate::reading::{Moments, PERCENT, RowMotion};
 use crate::regimes::{
@@ -18,7 +18,7 @@ use crate::regimes::{
 use crate::sliding::{SlidingContact, TouchedWire, locate_sliding};
 use crate::static_arc::StaticArc;
 use crate::track_document::ContactDocument;
-use nalgebra::{Matrix2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3};
 use rayon::prelude::*;
 use wcal_core::order_statistics::median;
 use wcal_core::stream::Flags;
@@ -119,6 +119,9 @@ fn split_noise(known: &mut [Known], has_stiffness: bool) {
     let poses: Vec<f64> = (0..known.len()).map(|k| same_pose(known, k)).collect();
     for (Known { row, misfit_nmm2, .. }, n) in known.iter_mut().zip(poses) {
         let Some(misfit) = misfit_nmm2 else {
+            // Whether one reading is loaded does not depend on how many there are.
+            let shared = row.shared_nmm.iter().map(|h| Vector2::from(*h) * Vector2::from(*h).transpose());
+            row.free_nmm2 = Some(row.noise_nmm2 + shared.sum::<Matrix2<f64>>());
             row.noise_nmm2 *= n;
             continue;
         };
@@ -241,8 +244,7 @@ impl WholeContact {
     pub fn document(&self) -> ContactDocument {
         let rows = &self.episode.rows;
         let span_s = [rows[0].t_s, rows[rows.len() - 1].t_s];
-        let (weights, readings) = (&self.weights.regimes, rows.len());
-        let found = ContactDocument::of_table(self.point(), weights, &self.sliding, span_s, readings);
+        let found = ContactDocument::of_table(self.point(), &self.weights, &self.sliding, span_s, rows.len());
         ContactDocument { mm_by_gain_percent: Some(self.mm_by_gain()), ..found }
     }
 
@@ -256,6 +258,7 @@ impl WholeContact {
         let turn = rows[k].turn * rows[near].turn.inverse();
         let place = EpisodeContact {
             place_mm: places[near].place_mm.map(|at| turn * (at - rows[near].moved_mm) + rows[k].moved_mm),
+            contact: if near == k { places[k].contact } else { 0.0 },
             ..places[near].clone()
         };
         Some((place, self.sliding.arcs[near].clone()))
@@ -266,18 +269,21 @@ impl WholeContact {
     /// # Errors
     /// Where the wire cannot be bent.
     pub fn stated(&self, k: usize, alone: &mut StaticArc) -> Result<Contact, ContactError> {
-        let of_point = |(weight, _, found): &(f64, Misstatement, EpisodeEstimate)| {
-            let arc = found.posterior.as_ref().map(Posterior::arc).unwrap_or_default();
-            Alternative { weight: *weight, place: found.places[k].clone(), arc }
+        let of_point = |(weight, _, found): &(f64, Misstatement, EpisodeEstimate)| Alternative {
+            weight: *weight,
+            place: found.places[k].clone(),
+            arc: found.arcs[k].clone(),
         };
         let mut all: Vec<Alternative> = self.points.iter().map(of_point).collect();
         let (weight, slid) = (self.weights.sliding(), self.slid(k));
+        let row = &self.episode.rows[k];
         // Before its first place a contact that slides is not known to be anywhere.
         if self.weights.slides() && slid.is_none() {
-            return Ok(Contact { flags: self.flags(), ..Contact::default() });
+            let flags = if loaded(row) { self.flags() } else { Flags::default() };
+            return Ok(Contact { flags, ..Contact::default() });
         }
         all.extend(slid.filter(|_| weight > MIN_WEIGHT).map(|slid| Alternative::from((weight, slid))));
-        let (weight, row) = (self.weights.regimes.of(Regime::Anywhere), &self.episode.rows[k]);
+        let weight = self.weights.regimes.of(Regime::Anywhere);
         if weight > MIN_WEIGHT && loaded(row) {
             let sd_nmm = [0, 1].map(|c| row.noise_nmm2[(c, c)].sqrt());
             let (e, arc) = alone.allowed(row.moment_nmm, sd_nmm)?;
@@ -286,13 +292,18 @@ impl WholeContact {
             all.push(Alternative { weight, place, arc });
         }
         let belongs = !self.flags().has(Flags::MOTION_DISAGREES);
-        Ok(Contact::averaged(&all, self.flags(), |_| belongs))
+        let found = Contact::averaged(&all, self.flags(), |_| belongs);
+        // Outside of a contact nothing is in doubt.
+        let held = loaded(row) || found.estimate.is_some_and(|e| e.probability > 0.5);
+        Ok(if held { found } else { Contact { flags: Flags::default(), ..found } })
     }
 
     /// What is said of it, for people.
     pub fn sentences(&self) -> Vec<String> {
         let weights = &self.weights;
-        let said = match (weights.regimes.certain(), weights.misstatement) {
+        let said = match (weights.certain(), weights.misstatement) {
+            (None, _) if self.flags().has(Flags::UNDECIDED) => Some("a way in which its point of the object may move could not be looked at, for want of \
+                 readings; marked undecided in status".to_owned()),
             (None, _) => Some("whether its point of the object stays, creeps or slides is not decided; places and regions are those of all".to_owned()),
             (Some(Regime::Misstated), Some((m, _))) => Some(format!("{}; marked motion-disagrees in status", m.sentence())),
             (Some(Regime::Sliding), _) if !self.sliding.sure() => Some("the fit of a sliding contact leaves more than noise, or the motion turns \

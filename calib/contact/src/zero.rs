@@ -1,12 +1,14 @@
 //! The zero of a record: the mean of its free readings, with what is not known of it.
 //!
 //! ```text
-//! m' = m - m_0,   m_0 = mean of m_k over the n free readings                     errors: (h - h_0) c - z,   cov z = R / n + 2 D
+//! m' = m - m_0,   m_0 = mean of m_k over the n free readings                     errors: (h - h_0) c - z,   cov z = g R / n + 2 D
+//! g   = 1 + 2 sum_j rho_j                                        rho_j: correlation of the free readings' noise over j readings
 //! ```
 //!
 //! h_0 is the mean of h over the free readings: what all readings of a calibration share is the less uncertain the nearer a reading is to the
-//! free wire. R: noise of a reading, D: drift of the zero within the record. A record without free readings keeps the calibration's zero,
-//! cov z = B / 4 + D: it may be off by half of the noise from pose to pose B, an assumption.
+//! free wire. R: noise of a reading, g of which count as one where it is slow, D: drift of the zero within the record. A record without free readings keeps the calibration's zero,
+//! cov z = B / 4 + D: it may be off by half of the noise from pose to pose B, an assumption. Where R is not known the free readings are one draw
+//! of B. The sum ends where two successive rho_j are not positive together (C. J. Geyer, Stat. Sci. 7 (1992) 473).
 
 use crate::reading::{Moments, Reading};
 use nalgebra::{Matrix2, Vector2};
@@ -38,6 +40,8 @@ pub enum FreeStart {
         readings: usize,
         /// Covariance of their noise, (N mm)^2.
         noise_nmm2: Matrix2<f64>,
+        /// Its statistical inefficiency.
+        inefficiency: f64,
     },
     /// The first readings stand still at a moment (N mm) that no free wire has by this calibration.
     Loaded(f64),
@@ -78,8 +82,9 @@ impl Zero {
         // An error that all readings share cancels as far as the free ones have it, too.
         let less = |(h, sum): (&[f64; 2], &Vector2<f64>)| (Vector2::from(*h) - sum / self.count).into();
         let shared_nmm: Vec<[f64; 2]> = m.shared_nmm.iter().zip(&self.shared_nmm).map(less).collect();
-        // White noise of the mean falls as 1 / n; drift enters twice, at the zero and at the reading.
-        let zero_nmm2 = m.own_nmm2.unwrap_or(m.pose_nmm2) / self.count + m.drift_nmm2 * 2.0;
+        // Noise of the mean falls as g / n; free readings of one pose are one draw. Drift enters twice, at the zero and at the reading.
+        let mean = |own: Matrix2<f64>| own * (m.inefficiency.max(1.0) / self.count);
+        let zero_nmm2 = m.own_nmm2.map_or(m.pose_nmm2, mean) + m.drift_nmm2 * 2.0;
         Moments { moment_nmm, shared_nmm, zero_nmm2, ..m }
     }
 }
@@ -128,12 +133,22 @@ pub fn beginning(readings: &[Reading], zero_known: bool) -> FreeStart {
         return FreeStart::Loaded(mean.norm());
     }
     // Sample covariance; the mean takes one degree of freedom.
-    let spread: Matrix2<f64> = (0..free).map(|k| (at(k) - mean) * (at(k) - mean).transpose()).sum();
+    let off: Vec<Vector2<f64>> = (0..free).map(|k| at(k) - mean).collect();
+    let spread: Matrix2<f64> = off.iter().map(|o| o * o.transpose()).sum();
     let floor = Matrix2::identity() * MIN_NOISE_NMM * MIN_NOISE_NMM;
     let noise_nmm2 = spread / (free - 1) as f64 + floor;
     // Half a step past the last free reading.
     let next = all.get(free).map_or(all[free - 1].0, |n| 0.5 * (all[free - 1].0 + n.0));
-    FreeStart::Free { span_s: next - all[0].0, readings: free, noise_nmm2 }
+    let inefficiency = inefficiency(&off);
+    FreeStart::Free { span_s: next - all[0].0, readings: free, noise_nmm2, inefficiency }
+}
+
+/// Statistical inefficiency of noise, see the module.
+fn inefficiency(off: &[Vector2<f64>]) -> f64 {
+    let covariance = |lag: usize| off[lag..].iter().zip(off).map(|(a, b)| a.dot(b)).sum::<f64>();
+    let variance = covariance(0).max(f64::MIN_POSITIVE);
+    let pairs = (0..off.len() / 4).map(|k| (covariance(2 * k) + covariance(2 * k + 1)) / variance);
+    (2.0 * pairs.take_while(|pair| *pair > 0.0).sum::<f64>() - 1.0).max(1.0)
 }
 
 #[cfg(test)]
@@ -147,9 +162,8 @@ mod tests {
             valid: true,
             pose_nmm2: Matrix2::identity() * 0.01,
             own_nmm2: None,
-            drift_nmm2: Matrix2::zeros(),
-            zero_nmm2: Matrix2::zeros(),
             shared_nmm: vec![[0.05 + 0.1 * moment_nmm[0], 0.0]],
+            ..Moments::default()
         };
         Reading::alone(k as i64, 0.1 * k as f64, Some(moments))
     }
@@ -164,7 +178,7 @@ mod tests {
     #[test]
     fn the_free_beginning_is_the_zero_and_says_what_the_noise_is() {
         let readings = record(0.2);
-        let FreeStart::Free { span_s, readings: free, noise_nmm2 } = beginning(&readings, true) else {
+        let FreeStart::Free { span_s, readings: free, noise_nmm2, .. } = beginning(&readings, true) else {
             panic!()
         };
         assert!(free == 10 && (span_s - 0.95).abs() < 1e-9, "{free} {span_s}");
@@ -175,11 +189,40 @@ mod tests {
         assert!((all[29].moment_nmm[0] - 2.0).abs() < 0.005, "{:?}", all[29].moment_nmm);
         // What all readings share is that of the difference from the free wire.
         assert!(
-            (all[29].shared_nmm[0][0] - 0.2).abs() < 0.001 && (all[29].zero_nmm2[(0, 0)] - 1e-3).abs() < 1e-9
+            (all[29].shared_nmm[0][0] - 0.2).abs() < 0.001 && (all[29].zero_nmm2[(0, 0)] - 1e-2).abs() < 1e-9
         );
+        // With a noise of their own the mean of ten knows more; less where it is slow.
+        let of = |inefficiency: f64| {
+            let own_nmm2 = Some(Matrix2::identity() * 1e-4);
+            let known = |r: &Reading| Moments { own_nmm2, inefficiency, ..r.moments.clone().unwrap() };
+            let mut zero = Zero::new(span_s);
+            let all: Vec<Moments> = readings.iter().map(|r| zero.applied(r.t_s, known(r))).collect();
+            all[29].zero_nmm2[(0, 0)]
+        };
+        assert!((of(1.0) - 1e-5).abs() < 1e-12 && (of(4.0) - 4e-5).abs() < 1e-12);
         // Control: the calibration's zero stays, with its own uncertainty.
         let plain = taken(&mut Zero::new(0.0), &readings[29]);
         assert!((plain.moment_nmm[0] - 2.2).abs() < 0.005 && (plain.zero_nmm2[(0, 0)] - 2.5e-3).abs() < 1e-9);
+    }
+
+    #[test]
+    fn slow_noise_is_counted_and_white_noise_is_white() {
+        // First-order Gauss-Markov noise of correlation phi from reading to reading: g = (1 + phi) / (1 - phi).
+        let g = |phi: f64| {
+            let (mut state, mut last) = (7_u64, Vector2::zeros());
+            let mut uniform = || {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+            };
+            let noise: Vec<Vector2<f64>> = (0..2000)
+                .map(|_| {
+                    last = last * phi + Vector2::new(uniform(), uniform());
+                    last
+                })
+                .collect();
+            inefficiency(&noise)
+        };
+        assert!(g(0.0) < 1.3 && (12.0..28.0).contains(&g(0.9)), "{} {}", g(0.0), g(0.9));
     }
 
     #[test]

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use wcal_contact::calibrated_wire::CalibratedWire;
 use wcal_contact::estimator::{Contact, Estimator};
 use wcal_contact::known_motion::MomentField;
-use wcal_contact::reading::{MotionAccuracy, Reading, RowMotion};
+use wcal_contact::reading::{Moments, MotionAccuracy, Reading, RowMotion};
 use wcal_contact::regimes::ANY_OBJECT;
 use wcal_contact::tracker::ContactTracker;
 use wcal_core::observation::WhiskerSpec;
@@ -47,7 +47,7 @@ enum Family {
     Sliding,
 }
 
-/// A reading with the true contact: its place (mm) and its arc length where it is first touched, or now where it slides (mm).
+/// A reading with the true contact: its place and its arc length, mm.
 struct Known {
     reading: Reading,
     touch: Option<(Vector3<f64>, f64)>,
@@ -85,7 +85,8 @@ fn press(field: &MomentField, family: Family, seed: u64) -> Vec<Known> {
         let read = moment.map(|m| stiffer * m + normal(NOISE_NMM));
         let jitter = Vector3::from_fn(|_, _| normal(MOVED_SD_MM));
         let motion = (Vector3::z() * depth * way + jitter, Vector3::z() * 1.2 * way);
-        Known { reading: reading(k, read, motion), touch: held.map(|p| (p, s_mm)) }
+        let now = |p: Vector3<f64>| (p, field.held(&p, 0.0).unwrap().arclength_mm);
+        Known { reading: reading(k, read, motion), touch: held.map(now) }
     };
     (0..50).map(one).collect()
 }
@@ -182,4 +183,45 @@ fn regions_hold_and_the_regime_is_told_in_every_family() {
     // Control: a foreign wire that is taken for the calibration's own is mostly lost.
     let [in_space, ..] = judged(Family::OtherWire, 0.0);
     assert!(in_space < 0.5, "{in_space}");
+}
+
+/// Rows in contact that are located, of a press read so often whose readings have the noise from pose to pose, or one of their own.
+fn located(hz: f64, deepest_mm: f64, own: bool) -> (usize, usize) {
+    let wire = calibrated(&WhiskerSpec::nominal(), MESH_MM);
+    let (touch, _) = wire.field.free(30.0);
+    let mut rng = ChaCha8Rng::seed_from_u64(SEED);
+    let mut table = ContactTracker::of_record(
+        wire.clone(),
+        MotionAccuracy { moved_sd_mm: MOVED_SD_MM, clock_sd_s: 0.0 },
+        ANY_OBJECT,
+    );
+    let (speed_mm_s, sd_nmm) = (5.0, 4.0 * NOISE_NMM);
+    let count = ((1.0 + deepest_mm) / speed_mm_s * hz) as usize;
+    let depth = |k: usize| speed_mm_s * k as f64 / hz - 1.0;
+    for k in 0..count {
+        let held =
+            (depth(k) > 0.0).then(|| wire.field.held(&(touch + Vector3::z() * depth(k)), 0.0).unwrap());
+        let moment_nmm = held
+            .map_or([0.0; 2], |h| h.moment_nmm)
+            .map(|m| m + sd_nmm * rng.sample::<f64, _>(StandardNormal));
+        let plain = reading(k, moment_nmm, (Vector3::z() * depth(k), Vector3::z() * speed_mm_s));
+        let noise_nmm2 = Matrix2::identity() * sd_nmm * sd_nmm;
+        let moments = moments(moment_nmm, noise_nmm2, Vec::new());
+        let moments = Moments { own_nmm2: own.then_some(noise_nmm2), ..moments };
+        table.push(&Reading { t_s: k as f64 / hz, moments: Some(moments), ..plain }).unwrap();
+    }
+    let found = table.finish().unwrap();
+    let of = |held: bool| (0..count).filter(move |k| (depth(*k) > 0.0) == held);
+    let seen = |k: &usize| found[*k].estimate.is_some_and(|e| e.probability > 0.5);
+    (of(true).filter(seen).count() * 100 / of(true).count().max(1), of(false).filter(seen).count())
+}
+
+#[test]
+fn more_readings_locate_no_fewer_contacts() {
+    for own in [true, false] {
+        let ((few, _), (many, free)) = (located(10.0, 2.0, own), located(200.0, 2.0, own));
+        assert!(few > 40 && many + 5 >= few && free < 20, "{own}: {few} % and {many} %, {free} free");
+        // Control: a wire that is not touched.
+        assert_eq!(located(200.0, 0.0, own).1, 0);
+    }
 }

@@ -34,7 +34,12 @@ impl Flags {
     /// No fixed point of the object explains the moments along the known motion; one that slides does, and was assumed.
     pub const SLIDING_ASSUMED: Self = Self(4096);
 
-    const NAMES: [(Self, &'static str); 13] = [
+    /// A way in which the contact may move on what it touches could not be looked at.
+    pub const UNDECIDED: Self = Self(8192);
+    /// The stated regions do not hold the known groove.
+    pub const GROOVE_MISSED: Self = Self(16384);
+
+    const NAMES: [(Self, &'static str); 15] = [
         (Self::GAP, "gap"),
         (Self::PEAK_LOST, "peak-lost"),
         (Self::CROSSING, "crossing"),
@@ -48,6 +53,8 @@ impl Flags {
         (Self::MOTION_LOST, "motion-lost"),
         (Self::MOTION_ASSUMED, "motion-assumed"),
         (Self::SLIDING_ASSUMED, "sliding-assumed"),
+        (Self::UNDECIDED, "undecided"),
+        (Self::GROOVE_MISSED, "groove-missed"),
     ];
 
     /// Both.

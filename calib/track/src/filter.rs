@@ -2,8 +2,7 @@
 //!
 //! State at sample t: node k of the inverse's curve (arc length `s_k`, at the tip the tilt of the force), offset x in [-1/2, 1/2] within the
 //! node, velocity `v = ds/dz` (path along the curve by travel of the base), and where they are not known the coefficient of friction mu and
-//! the speed u of the base. Below for a base that travels along its +z; where the object's motion is known in three dimensions (any direction,
-//! rotations, holds and reversals: [`BayesFilter::step_along`]) its displacement stands for -z u dt:
+//! the speed u of the base, which travels along its +z:
 //!
 //! ```text
 //! predict and update   w_t(k, mu, u)  ~  sum_j  w_{t-1}(j, mu, u)  p(k | j, mu, u)  p(m_t | k, j, mu, u)
@@ -24,7 +23,6 @@
 
 mod exp;
 mod grid_cell;
-mod object_step;
 mod sample_geometry;
 mod settings;
 mod transition;
@@ -32,7 +30,6 @@ mod transition;
 use crate::inverse::{InverseSolution, StaticInverse};
 use grid_cell::GridCell;
 use nalgebra::{Matrix3, Vector3};
-pub use object_step::ObjectStep;
 pub use settings::{BayesSettings, FILTER_RANGES, FilterBank};
 use transition::{KnownStep, TransitionModel};
 
@@ -58,11 +55,6 @@ pub struct BayesFilter<'a> {
     now: Vec<InverseSolution>,
     /// Logarithm of the predictive density of the last sample, 1/(N mm)^2; 0 where there was no prediction.
     log_evidence: f64,
-    /// Direction of the last known displacement, and the belief after it.
-    direction: Option<Vector3<f64>>,
-    last: Option<Belief>,
-    /// Displacement since the last sample that was used.
-    pending: Option<ObjectStep>,
 }
 
 impl<'a> BayesFilter<'a> {
@@ -75,9 +67,6 @@ impl<'a> BayesFilter<'a> {
             before: Vec::new(),
             now: Vec::new(),
             log_evidence: 0.0,
-            direction: None,
-            last: None,
-            pending: None,
         }
     }
 
@@ -134,47 +123,10 @@ impl<'a> BayesFilter<'a> {
         self.log_evidence
     }
 
-    /// Puts all posterior weight on one node of the last sample: what would follow if the contact were known to be there.
-    pub fn condition_on(&mut self, node: usize) {
-        for row in &mut self.weights {
-            let all = weight(row);
-            row.fill(GridCell::default());
-            row[node] = GridCell::uniform(all);
-        }
-    }
-
     /// Takes a sample `dt_s` after the one before; `base_mm_s` is the base's speed along +z where it is known.
     pub fn step(&mut self, dt_s: f64, moment_nmm: [f64; 2], base_mm_s: Option<f64>) -> Option<Belief> {
         let (inverse, steps) = (self.inverse, self.sweep_steps(dt_s, base_mm_s));
         self.step_on(dt_s, moment_nmm, &steps, |moment_nmm, now| inverse.solutions(moment_nmm, now))
-    }
-
-    /// Takes a sample to which the object has moved by a known step, in any direction. Samples during a hold say nothing new: the answer is
-    /// that of before, until the object has moved on by `HOLD_MM`.
-    pub fn step_along(&mut self, dt_s: f64, moment_nmm: [f64; 2], object: &ObjectStep) -> Option<Belief> {
-        let inverse = self.inverse;
-        let middle = self.last.map_or_else(|| self.middle_mm(), |b| b.point_mm);
-        let since = self.pending.take().map_or(*object, |p| p.followed_by(object));
-        let moved = since.displacement_mm(&middle);
-        let loaded = moment_nmm[0].hypot(moment_nmm[1]) >= self.settings.onset_nmm;
-        if loaded && !self.weights.is_empty() && moved.norm() < HOLD_MM {
-            self.pending = Some(since);
-            return self.last;
-        }
-        let onward_mm = self.direction.map_or(moved.norm(), |d| d.dot(&moved));
-        self.direction = moved.try_normalize(HOLD_MM).or(self.direction);
-        let travel_mm = moved.norm();
-        let known = KnownStep { object: since, travel_mm, travel_sd_mm: 0.0, onward_mm, sweep: false };
-        self.last =
-            self.step_on(dt_s, moment_nmm, &[known], |moment_nmm, now| inverse.solutions(moment_nmm, now));
-        self.last
-    }
-
-    /// Two thirds out on the free wire: the middle of what objects touch, mm.
-    fn middle_mm(&self) -> Vector3<f64> {
-        let mut rest = Vec::new();
-        self.inverse.solutions(FREE_NMM, &mut rest);
-        rest.get(self.inverse.first_tip() * 2 / 3).map_or_else(Vector3::zeros, |s| s.point_mm)
     }
 
     /// Travel of the base at its known speed, or at each of the grid, which stands for an interval: the standard deviation of a uniform
@@ -183,7 +135,7 @@ impl<'a> BayesFilter<'a> {
         let speeds = base_mm_s.map_or_else(|| self.speeds(), |v| vec![v]);
         let travel_sd_mm =
             if speeds.len() > 1 { (speeds[1] - speeds[0]) * dt_s / 12.0_f64.sqrt() } else { 0.0 };
-        speeds.iter().map(|v| KnownStep::of_sweep(v * dt_s, travel_sd_mm)).collect()
+        speeds.iter().map(|v| KnownStep { travel_mm: v * dt_s, travel_sd_mm }).collect()
     }
 
     /// The same with the inverse solutions of a filter of the same onset that has taken the sample already.
@@ -291,8 +243,6 @@ impl<'a> BayesFilter<'a> {
     }
 }
 
-/// Displacement below which an object counts as held, mm.
-const HOLD_MM: f64 = 0.02;
 /// Moment of a wire practically at rest, N mm.
 const REST_NMM: f64 = 1e-5;
 /// Moments (y, z) that stand for none: those of a push against the base's travel.

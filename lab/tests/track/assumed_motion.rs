@@ -152,9 +152,7 @@ fn noisy(moment_nmm: [f64; 2]) -> Moments {
         valid: true,
         pose_nmm2: noise_nmm2,
         own_nmm2: Some(noise_nmm2),
-        drift_nmm2: Matrix2::zeros(),
-        zero_nmm2: Matrix2::zeros(),
-        shared_nmm: Vec::new(),
+        ..Moments::default()
     }
 }
 

@@ -57,6 +57,7 @@ pub use recursive::RecursivePosterior;
 pub use segmenter::{Segmenter, Step};
 
 use crate::ContactError;
+use crate::arc_posterior::ArcDensity;
 use contact_path::{ContactPath, loaded};
 
 /// Result of an episode.
@@ -64,6 +65,8 @@ use contact_path::{ContactPath, loaded};
 pub struct EpisodeEstimate {
     /// The contact at each row.
     pub places: Vec<EpisodeContact>,
+    /// Density along the wire at each row.
+    pub arcs: Vec<ArcDensity>,
     /// The posterior of the state; none where no state explains anything.
     pub posterior: Option<Posterior>,
     /// Innovations at the best state.
@@ -101,12 +104,12 @@ pub fn estimate_contact(
         return Ok(EpisodeEstimate::unexplained(episode));
     };
     let outlier = |k: usize| chosen.binary_search(&k).is_ok_and(|n| found.outliers[n]);
-    let place = |k| EpisodeContact { outlier: outlier(k), ..found.posterior.place(&path, k) };
-    Ok(EpisodeEstimate {
-        places: (0..episode.rows.len()).map(place).collect(),
-        posterior: Some(found.posterior),
-        innovations: found.innovations,
-    })
+    let place = |k| {
+        let (place, arc) = found.posterior.place(&path, k);
+        (EpisodeContact { outlier: outlier(k), ..place }, arc)
+    };
+    let (places, arcs) = (0..episode.rows.len()).map(place).unzip();
+    Ok(EpisodeEstimate { places, arcs, posterior: Some(found.posterior), innovations: found.innovations })
 }
 
 /// An episode without its first loaded reading, as an outlier; none where none may be.
@@ -141,6 +144,7 @@ impl EpisodeEstimate {
         let rows = episode.rows.len();
         Self {
             places: vec![EpisodeContact::default(); rows],
+            arcs: vec![ArcDensity::default(); rows],
             posterior: None,
             innovations: Innovations { rows, ..Innovations::default() },
         }

@@ -113,15 +113,16 @@ impl Posterior {
         ArcDensity::of_logarithms(&places, &ln)
     }
 
-    /// The 95 % region along the wire: one piece for each peak.
+    /// The 95 % region of first touch along the wire: one piece for each peak.
     pub fn regions(&self) -> Vec<Region> {
         self.arc().regions()
     }
 
-    /// Mean and covariance of the point's place at a reading; whether that was treated as an outlier is not known here.
-    pub(crate) fn place(&self, path: &ContactPath<'_>, row: usize) -> EpisodeContact {
+    /// Mean and covariance of the point's place at a reading, and the density over the arc length at which the wire is held there (of first touch
+    /// where it is free); whether the reading was treated as an outlier is not known here.
+    pub(crate) fn place(&self, path: &ContactPath<'_>, row: usize) -> (EpisodeContact, ArcDensity) {
         let (mut mean, mut square, mut contact) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
-        let mut total = 0.0;
+        let (mut total, mut along) = (0.0, Vec::new());
         // How far the point has crept by one standard deviation of each share.
         let way = creep_mm(&path.push, path.turned(row), &path.displacement(row), self.creep_sd);
         let way = Matrix3x2::from_columns(&way);
@@ -144,20 +145,27 @@ impl Posterior {
             // Held where the point is past first touch: the share of the onset's normal distribution.
             let sd = n.covariance_mm2[(0, 0)].max(1e-18).sqrt();
             let past = (at - touch).dot(&path.push) / sd;
+            // The wire's point at the place: along the wire it spreads as the place does, and with the node's share of the wire.
+            let held = path.field.held_and_rate(&at, 0.0).filter(|_| past > 0.0 && !path.rows[row].free);
+            let s_mm = held.map_or(n.state.s_mm, |h| h.0.arclength_mm);
+            let tangent = path.field.free(s_mm).1;
+            let spread = tangent.dot(&(covariance * tangent)).max(0.0) * f64::from(u8::from(past > 0.0));
+            along.push((n.mass, s_mm, (spread + n.length_mm.powi(2) / 12.0).sqrt()));
             contact += n.mass * if path.rows[row].free { 0.0 } else { normal_share(past) };
             total += n.mass;
         }
         if total <= 0.0 {
-            return EpisodeContact::default();
+            return (EpisodeContact::default(), ArcDensity::default());
         }
         let mean = mean / total;
         let motion = Matrix3::identity() * path.rows[row].moved_sd_mm.powi(2);
-        EpisodeContact {
+        let place = EpisodeContact {
             place_mm: Some(mean),
             covariance_mm2: square / total - mean * mean.transpose() + motion,
             contact: contact / total,
             outlier: false,
-        }
+        };
+        (place, ArcDensity::of_normals(&along, path.field.length_mm()))
     }
 }
 

@@ -19,9 +19,10 @@
 //! both ways, `w_s ~ w_s [Phi(-q) p(y | free) + Phi(q) p(y | held)]`, q the depth over its standard deviation, and the two Gaussians are
 //! joined by their moments: so free readings bound the onset.
 //!
-//! Grid: where a reading would part two neighbouring nodes by more than 1 in ln w (in its regular part, where all nodes take it for an outlier),
-//! the grid before it is interpolated between them and the reading taken again; nodes 14 below the best in ln w go, and there are at most [`MAX_NODES`]. Friction: the play operator of the parent
-//! module, carried node by node at the mean; its slope is that without friction.
+//! Grid: where a reading parts two neighbouring nodes by more than 1 in ln w (in its regular part, where all nodes take it for an outlier), a new
+//! node between them takes all readings so far; nodes 14 below the best in ln w go, and there are at most [`MAX_NODES`]. Nothing is interpolated
+//! between nodes: where ln w falls by hundreds from one to the next, no polynomial follows it. Friction: the play operator of the parent module,
+//! carried node by node at the mean; its slope is that without friction.
 //!
 //! Sources: R. S. Bucy, K. D. Senne, Automatica 7 (1971) 287 (point masses); A. Doucet, N. de Freitas, K. Murphy, S. Russell, UAI 2000, 176
 //! (Rao-Blackwellised filters); B. M. Bell, F. W. Cathey, IEEE Trans. Automat. Contr. 38 (1993) 294 (iterated update as Gauss-Newton step);
@@ -36,9 +37,10 @@ use super::episode::CorrelatedNoise;
 use super::posterior;
 use super::segmenter::Beginning;
 use super::{EpisodeContact, Innovations, MomentField, MotionRow, Posterior, Settings, TABLE_MM};
+use crate::arc_posterior::ArcDensity;
 use nalgebra::{Matrix2, Rotation3, Vector3};
 use node::{NodeFilter, Reading};
-use std::borrow::Cow;
+use rayon::prelude::*;
 
 /// Free readings before a contact that belong to it: they bound its onset.
 pub(crate) const LEAD: usize = 25;
@@ -75,12 +77,12 @@ pub struct RecursivePosterior {
     push: Vector3<f64>,
     /// The first loaded reading, from which displacements count.
     reference: MotionRow,
-    /// The reading before: place of the wire's middle, carried along, its time, and the visit it is of.
-    middle_mm: Vector3<f64>,
-    last_s: f64,
-    segment: u32,
+    /// All readings, those of a creeping contact with its unknowns: the free ones before the first loaded one, and from that on.
+    lead: Vec<MotionRow>,
+    rows: Vec<MotionRow>,
+    /// Width of the uniform prior of the onset, mm.
+    range_mm: f64,
     nodes: Vec<NodeFilter>,
-    readings: usize,
     /// Logarithm that was taken off those of all nodes.
     taken_ln: f64,
 }
@@ -89,10 +91,6 @@ pub struct RecursivePosterior {
 fn motion_since(reference: &MotionRow, row: &MotionRow) -> (Rotation3<f64>, Vector3<f64>) {
     let turn = row.turn * reference.turn.inverse();
     (turn, row.moved_mm - turn * reference.moved_mm)
-}
-
-fn middle(field: &MomentField, (turn, displacement): &(Rotation3<f64>, Vector3<f64>)) -> Vector3<f64> {
-    turn * field.free(0.5 * field.length_mm()).0 + displacement
 }
 
 /// An episode after all of its readings: its state is constant, so that the last posterior is that of all of them.
@@ -145,133 +143,105 @@ impl RecursivePosterior {
         first: &MotionRow,
     ) -> Option<Self> {
         let push = push.try_normalize(1e-9)?;
-        let still = (Rotation3::identity(), Vector3::zeros());
-        let middle_mm = middle(field, &still);
         let mut own = Self {
             settings,
             push,
             reference: first.clone(),
-            middle_mm,
-            last_s: first.t_s,
-            segment: first.contact_segment,
+            lead: Vec::new(),
+            rows: Vec::new(),
+            range_mm: 0.0,
             nodes: Vec::new(),
-            readings: 1,
             taken_ln: 0.0,
         };
-        let first = &*own.with_creep(field, first);
-        let lead: Vec<Cow<'_, MotionRow>> = lead.iter().map(|row| own.with_creep(field, row)).collect();
-        let along_mm = |row: &MotionRow| (middle(field, &motion_since(first, row)) - middle_mm).dot(&push);
-        let lowest = lead.iter().map(|row| along_mm(row)).fold(0.0, f64::min);
-        let at_first = own.reading(field, first, 0.0, 0.0);
+        own.rows = vec![own.with_creep(field, first)];
+        own.lead = lead.iter().map(|row| own.with_creep(field, row)).collect();
+        let still = own.middle_mm(field, first);
+        let along_mm = |row: &MotionRow| (own.middle_mm(field, row) - still).dot(&push);
+        own.range_mm = BEFORE_MM - own.lead.iter().map(along_mm).fold(0.0, f64::min);
         let length = field.length_mm() - settings.first_mm;
         let count = (length / SCAN_MM).ceil().max(1.0) as usize;
-        let mut nodes = Vec::with_capacity(count + 1);
-        for k in 0..=count {
-            let s_mm = settings.first_mm + length * k as f64 / count as f64;
-            let Some(mut node) = NodeFilter::new(&at_first, s_mm, BEFORE_MM - lowest) else { continue };
-            node.start(&at_first);
-            // Backwards in time from first touch: the state is constant, and the correlated noise is reversible.
-            if settings.correlated.is_some() {
-                node.keep_correlated();
-            }
-            let mut before = (middle_mm, first.t_s);
-            for row in lead.iter().rev() {
-                let here = middle(field, &motion_since(first, row));
-                let reading = own.reading(field, row, (here - before.0).norm(), before.1 - row.t_s);
-                node.update(&reading);
-                before = (here, row.t_s);
-            }
-            if settings.correlated.is_some() {
-                node.resume_correlated();
-            }
-            if node.ln.is_finite() {
-                nodes.push(node);
-            }
-        }
-        own.readings += lead.len();
-        own.nodes = nodes;
+        let place = |k: usize| settings.first_mm + length * k as f64 / count as f64;
+        own.nodes = (0..=count).filter_map(|k| own.node(field, place(k))).collect();
         own.normalise();
         (!own.nodes.is_empty()).then_some(own)
     }
 
+    /// A node with all readings so far; none where the push runs along the wire.
+    fn node(&self, field: &MomentField, s_mm: f64) -> Option<NodeFilter> {
+        let first = self.reading(field, &self.rows[0], &self.rows[0]);
+        let mut node = NodeFilter::new(&first, s_mm, self.range_mm)?;
+        node.start(&first);
+        let correlated = self.settings.correlated.is_some();
+        // Backwards in time from first touch: the state is constant, and the correlated noise is reversible.
+        if correlated {
+            node.keep_correlated();
+        }
+        let mut later = &self.rows[0];
+        for row in self.lead.iter().rev() {
+            node.update(&self.reading(field, later, row));
+            later = row;
+        }
+        if correlated {
+            node.resume_correlated();
+        }
+        for pair in self.rows.windows(2) {
+            node.update(&self.reading(field, &pair[0], &pair[1]));
+        }
+        node.ln -= self.taken_ln;
+        node.regular_ln -= self.taken_ln;
+        Some(node)
+    }
+
     /// Takes the next reading.
     pub fn push(&mut self, field: &MomentField, row: &MotionRow) {
-        let row = &*self.with_creep(field, row);
-        let middle_mm = middle(field, &motion_since(&self.reference, row));
-        let reading = self.reading(field, row, (middle_mm - self.middle_mm).norm(), row.t_s - self.last_s);
-        let mut before: Vec<&NodeFilter> = self.nodes.iter().collect();
-        let take = |node: &NodeFilter| {
-            let mut node = node.clone();
-            node.update(&reading);
-            node
-        };
-        let mut after: Vec<NodeFilter> = before.iter().map(|n| take(n)).collect();
-        // The grid before the reading is smooth where the one after it is not yet: refined there, and the reading taken again.
-        let mut between: Vec<NodeFilter>;
+        self.rows.push(self.with_creep(field, row));
+        let mut nodes = std::mem::take(&mut self.nodes);
+        if let [.., before, row] = &self.rows[..] {
+            let reading = self.reading(field, before, row);
+            nodes.iter_mut().for_each(|node| node.update(&reading));
+        }
         for _ in 0..MAX_HALVINGS {
-            // Where every node takes the reading for an outlier, its place may lie between two of them.
-            let missed =
-                after.iter().max_by(|a, b| a.ln.total_cmp(&b.ln)).is_some_and(|n| n.last_outlier > 0.5);
-            let ln = |k: usize| if missed { after[k].regular_ln } else { after[k].ln };
-            let best = (0..after.len()).map(ln).fold(f64::NEG_INFINITY, f64::max);
-            let kept = |k: usize| {
-                let near = k.saturating_sub(1)..(k + 2).min(after.len());
-                near.into_iter().any(|k| ln(k) > best - NO_MASS)
-            };
-            let split = |k: usize| {
-                ln(k).max(ln(k + 1)) > best - REFINED_LN
-                    && (ln(k) - ln(k + 1)).abs() > MAX_STEP_LN
-                    && after[k + 1].s_mm - after[k].s_mm > MIN_STEP_MM
-            };
-            let gaps: Vec<usize> = (0..after.len().saturating_sub(1)).filter(|k| split(*k)).collect();
-            let room = MAX_NODES.saturating_sub((0..after.len()).filter(|k| kept(*k)).count());
-            if gaps.is_empty() || room == 0 {
-                break;
-            }
-            let mut made: Vec<(NodeFilter, NodeFilter)> = Vec::new();
-            for k in gaps.into_iter().take(room) {
-                let Some(node) = NodeFilter::between(&before, k, &reading) else { continue };
-                let taken = take(&node);
-                made.push((node, taken));
-            }
+            let gaps = gaps(&nodes);
+            let made: Vec<NodeFilter> =
+                gaps.into_par_iter().filter_map(|s_mm| self.node(field, s_mm)).collect();
             if made.is_empty() {
                 break;
             }
-            let mut pairs: Vec<(NodeFilter, NodeFilter)> = before.into_iter().cloned().zip(after).collect();
-            pairs.extend(made);
-            pairs.sort_by(|a, b| a.0.s_mm.total_cmp(&b.0.s_mm));
-            (between, after) = pairs.into_iter().unzip();
-            before = between.iter().collect();
+            nodes.extend(made);
+            nodes.sort_by(|a, b| a.s_mm.total_cmp(&b.s_mm));
         }
-        self.nodes = after;
-        (self.middle_mm, self.last_s, self.segment) = (middle_mm, row.t_s, row.contact_segment);
-        self.readings += 1;
+        self.nodes = nodes;
         self.normalise();
     }
 
     /// The reading with the two unknowns of a creeping contact, where it may creep.
-    fn with_creep<'r>(&self, field: &MomentField, row: &'r MotionRow) -> Cow<'r, MotionRow> {
-        let creep_sd = self.settings.creep_sd;
-        if creep_sd <= 0.0 {
-            return Cow::Borrowed(row);
+    fn with_creep(&self, field: &MomentField, row: &MotionRow) -> MotionRow {
+        let (mut row, creep_sd) = (row.clone(), self.settings.creep_sd);
+        if creep_sd > 0.0 {
+            let moved_mm = self.middle_mm(field, &row) - self.middle_mm(field, &self.reference);
+            let (turn, _) = motion_since(&self.reference, &row);
+            // An error of the place that grows with the way, of the map that is none.
+            row.shared_displacement_mm.resize(row.shared_nmm.len(), Vector3::zeros());
+            row.shared_displacement_mm.extend(creep_mm(&self.push, &turn, &moved_mm, creep_sd));
+            row.shared_nmm.extend([[0.0; 2]; 2]);
         }
-        let motion = motion_since(&self.reference, row);
-        let moved_mm = middle(field, &motion) - middle(field, &(Rotation3::identity(), Vector3::zeros()));
-        // An error of the place that grows with the way, of the map that is none.
-        let mut row = row.clone();
-        row.shared_displacement_mm.resize(row.shared_nmm.len(), Vector3::zeros());
-        row.shared_displacement_mm.extend(creep_mm(&self.push, &motion.0, &moved_mm, creep_sd));
-        row.shared_nmm.extend([[0.0; 2]; 2]);
-        Cow::Owned(row)
+        row
     }
 
-    /// Where the wire is held at a reading that was taken, and the posterior.
-    pub fn place(&self, field: &MomentField, row: &MotionRow) -> (EpisodeContact, Posterior) {
+    /// Where the middle of the free wire is carried by a reading, mm.
+    fn middle_mm(&self, field: &MomentField, row: &MotionRow) -> Vector3<f64> {
+        let (turn, displacement_mm) = motion_since(&self.reference, row);
+        turn * field.free(0.5 * field.length_mm()).0 + displacement_mm
+    }
+
+    /// Where the wire is held at a reading that was taken, in space and along the wire.
+    pub fn place(&self, field: &MomentField, row: &MotionRow) -> (EpisodeContact, ArcDensity) {
         let posterior = self.posterior();
         let motion = motion_since(&self.reference, row);
         let path = ContactPath::of_reading(field, row, self.push, motion);
         let outlier = self.best().is_some_and(|n| n.last_outlier > 0.5);
-        (EpisodeContact { outlier, ..posterior.place(&path, 0) }, posterior)
+        let (place, arc) = posterior.place(&path, 0);
+        (EpisodeContact { outlier, ..place }, arc)
     }
 
     /// The posterior over arc length, onset and gap.
@@ -288,7 +258,7 @@ impl RecursivePosterior {
 
     /// Innovations so far, at the node of highest density.
     pub fn innovations(&self) -> Innovations {
-        let rows = self.readings;
+        let rows = self.lead.len() + self.rows.len();
         // Two moments a reading, three numbers fitted.
         let dof = (2.0 * rows as f64 - 3.0).max(1.0);
         self.best().map_or(Innovations::unexplained(rows), |n| Innovations {
@@ -315,15 +285,13 @@ impl RecursivePosterior {
         self.nodes.iter().max_by(|a, b| a.ln.total_cmp(&b.ln))
     }
 
-    /// A reading `moved_mm` and `passed_s` from the one before.
-    fn reading<'a>(
-        &'a self,
-        field: &'a MomentField,
-        row: &'a MotionRow,
-        moved_mm: f64,
-        passed_s: f64,
-    ) -> Reading<'a> {
+    /// A reading after another one.
+    fn reading<'a>(&'a self, field: &'a MomentField, before: &MotionRow, row: &'a MotionRow) -> Reading<'a> {
         let (turn, displacement_mm) = motion_since(&self.reference, row);
+        let correlation = |c: CorrelatedNoise| {
+            let moved_mm = (self.middle_mm(field, row) - self.middle_mm(field, before)).norm();
+            c.correlation(moved_mm, row.t_s - before.t_s)
+        };
         Reading {
             field,
             settings: &self.settings,
@@ -331,9 +299,9 @@ impl RecursivePosterior {
             row,
             turn,
             displacement_mm,
-            correlation: self.settings.correlated.map_or(0.0, |c| c.correlation(moved_mm, passed_s)),
+            correlation: self.settings.correlated.map_or(0.0, correlation),
             loaded: self.settings.is_loaded(row),
-            touched_anew: row.contact_segment != self.segment,
+            touched_anew: row.contact_segment != before.contact_segment,
         }
     }
 
@@ -351,6 +319,26 @@ impl RecursivePosterior {
             near(k - 1)
         });
     }
+}
+
+/// Places of new nodes: half way between neighbours that differ by too much.
+fn gaps(nodes: &[NodeFilter]) -> Vec<f64> {
+    // Where every node takes the reading for an outlier, its place may lie between two of them.
+    let missed = nodes.iter().max_by(|a, b| a.ln.total_cmp(&b.ln)).is_some_and(|n| n.last_outlier > 0.5);
+    let ln = |k: usize| if missed { nodes[k].regular_ln } else { nodes[k].ln };
+    let best = (0..nodes.len()).map(ln).fold(f64::NEG_INFINITY, f64::max);
+    let kept = |k: &usize| {
+        let near = k.saturating_sub(1)..(k + 2).min(nodes.len());
+        near.into_iter().any(|k| ln(k) > best - NO_MASS)
+    };
+    let split = |k: &usize| {
+        ln(*k).max(ln(k + 1)) > best - REFINED_LN
+            && (ln(*k) - ln(k + 1)).abs() > MAX_STEP_LN
+            && nodes[k + 1].s_mm - nodes[*k].s_mm > MIN_STEP_MM
+    };
+    let room = MAX_NODES.saturating_sub((0..nodes.len()).filter(kept).count());
+    let gaps = (0..nodes.len().saturating_sub(1)).filter(split).take(room);
+    gaps.map(|k| 0.5 * (nodes[k].s_mm + nodes[k + 1].s_mm)).collect()
 }
 
 fn best_ln(nodes: &[NodeFilter]) -> f64 {

@@ -21,6 +21,7 @@ use super::banded::Normal;
 use super::contact_state::{ContactQuantities, Rates, STATE, State, TouchedWire};
 use crate::known_motion::MotionRow;
 use nalgebra::{DVector, Matrix2, Vector2, Vector3};
+use statrs::function::gamma::ln_gamma;
 use std::f64::consts::TAU;
 
 /// Relative error of the wire's model, and of the links, N mm.
@@ -121,6 +122,11 @@ const CONSTANT: f64 = 1e-3;
 pub(crate) fn model_nmm2(row: &MotionRow) -> Matrix2<f64> {
     let size = row.moment_nmm[0].hypot(row.moment_nmm[1]);
     Matrix2::identity() * ((MODEL_SHARE * size).powi(2) + MODEL_NMM * MODEL_NMM)
+}
+
+/// Logarithm of the norm of Student's t over that of a normal density.
+pub(super) fn ln_norm(nu: f64) -> f64 {
+    ln_gamma(0.5 * (nu + 1.0)) - ln_gamma(0.5 * nu) - 0.5 * (0.5 * nu).ln()
 }
 
 /// Whether a common unknown is the same error in every reading.
@@ -314,6 +320,15 @@ impl<'a> Chain<'a> {
     /// Logarithm of the moments' densities where they are as the states have them.
     pub fn ln_densities(&self) -> f64 {
         self.whiten.iter().map(|w| w.determinant().abs().max(f64::MIN_POSITIVE).ln() - TAU.ln()).sum()
+    }
+
+    /// Logarithm of the norms of all residuals with heavy tails over those of normal ones.
+    pub fn ln_norms(&self) -> f64 {
+        let of = |kind: &Kind| {
+            let count = (0..self.rows.len()).filter(|k| self.readings(*kind, *k).is_some()).count();
+            self.tails(*kind).map_or(0.0, |nu| count as f64 * ln_norm(nu))
+        };
+        KINDS.iter().map(of).sum()
     }
 
     /// What a state shows on the object, with its derivative.

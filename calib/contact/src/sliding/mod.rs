@@ -46,7 +46,6 @@ pub use stream::SlidingStream;
 
 use crate::arc_posterior::{ArcDensity, mixed_place};
 use crate::known_motion::contact_path::loaded;
-use crate::known_motion::posterior::normal_share;
 use crate::known_motion::{EpisodeContact, MotionRow};
 use blocks::blocks;
 pub use blocks::{Blocks, Means};
@@ -79,14 +78,12 @@ const LOST: f64 = 0.3;
 const TURNED_MM: f64 = 0.5;
 /// Fewer blocks support nothing.
 const MIN_BLOCKS: usize = 8;
-/// Fewer blocks have no change of slip.
-const MIN_MEANS: usize = 3;
+/// Of fewer blocks nothing is known of a slide: they have no two changes of slip, and its course is that of the priors.
+const MIN_MEANS: usize = 4;
 /// A load that would last for more than so many readings as it falls is lost at once.
 const LOST_AT_ONCE: f64 = 3.0;
 /// Logarithm of the density of a block of which nothing is predicted: anywhere in a circle of 3 N mm.
 pub(crate) const LN_ANYTHING: f64 = -3.341_954_5;
-/// Spacing of the densities' cells along the wire, mm.
-const NODE_MM: f64 = 0.1;
 
 /// Where a sliding contact is at each reading.
 #[derive(Debug, Clone, PartialEq)]
@@ -97,8 +94,8 @@ pub struct SlidingContact {
     pub arcs: Vec<ArcDensity>,
     /// Means of the readings over a step of the motion, by which contacts are weighed.
     pub means: Means,
-    /// ln p(m) of them along the motion and along the reversed one, natural units of 1/(N mm)^2 a block.
-    pub ln_evidence: [f64; 2],
+    /// ln p(m) of them along the motion and along the reversed one, natural units of 1/(N mm)^2 a block; none where no path could be made.
+    pub ln_evidence: Option<[f64; 2]>,
     /// Log likelihood of the best hypothesis, up to a constant.
     pub evidence: f64,
     /// The same of the motion with its sign reversed.
@@ -141,7 +138,7 @@ impl SlidingContact {
             places: vec![EpisodeContact::default(); readings],
             arcs: vec![ArcDensity::default(); readings],
             means: Means::default(),
-            ln_evidence: [f64::NEG_INFINITY; 2],
+            ln_evidence: None,
             evidence: f64::NEG_INFINITY,
             reversed_evidence: f64::NEG_INFINITY,
             predicted: 0,
@@ -237,9 +234,9 @@ fn locate_parts(
     all.evidence = each().map(|p| -0.5 * p.cost()).sum();
     all.reversed_evidence = each().map(|p| -0.5 * p.reversed_cost).sum();
     all.predicted = each().map(|p| p.count).sum();
-    all.ln_evidence = [0, 1].map(|k| each().map(|p| p.ln_evidence[k]).sum());
     // Parts that no path explains are anything.
-    all.ln_evidence[0] += (all.means.len() - all.predicted) as f64 * LN_ANYTHING;
+    let anything = [(all.means.len() - all.predicted) as f64 * LN_ANYTHING, 0.0];
+    all.ln_evidence = Some([0, 1].map(|k| anything[k] + each().map(|p| p.ln_evidence[k]).sum::<f64>()));
     all.gaps = each().map(|p| p.best().gaps).fold(0.0, f64::max);
     all.mm_by_gain = each().map(|p| p.mm_by_gain).fold(0.0, f64::max);
     all.turns_back = turns_back(held);
@@ -391,24 +388,10 @@ fn place(each: &[(f64, BlockPosterior)], row: &MotionRow, lost_mm2: f64) -> Epis
     }
 }
 
-/// Density of the mixture of normal distributions along the wire; what lies past the tip is at the tip. `lost` of it is anywhere.
+/// Density of the hypotheses along the wire; `lost` of it is anywhere.
 fn arc(each: &[(f64, BlockPosterior)], length_mm: f64, lost: f64) -> ArcDensity {
-    let count = (length_mm / NODE_MM) as usize;
-    let at = |k: usize| length_mm - NODE_MM * (count - k) as f64;
-    let places: Vec<f64> = (0..=count).map(at).collect();
-    let mut masses = vec![0.0; places.len()];
-    for (w, b) in each {
-        // Mass of a cell: difference of the normal distribution function at its ends.
-        let sd = b.sd_mm.hypot(MODEL_SD_MM);
-        let mut last = 0.0;
-        for (k, mass) in masses.iter_mut().enumerate() {
-            let end = at(k) + 0.5 * NODE_MM;
-            let next = if k == count { 1.0 } else { normal_share((end - b.arclength_mm) / sd) };
-            *mass += w * (next - last);
-            last = next;
-        }
-    }
-    let own = ArcDensity::of_masses(&places, &masses);
+    let normal = |(w, b): &(f64, BlockPosterior)| (*w, b.arclength_mm, b.sd_mm.hypot(MODEL_SD_MM));
+    let own = ArcDensity::of_normals(&each.iter().map(normal).collect::<Vec<_>>(), length_mm);
     if lost == 0.0 {
         return own;
     }

@@ -1,7 +1,7 @@
 //! Least squares over the states of all readings, from a first path: Levenberg and Marquardt, first with normal residuals, then with heavy tails.
 
 use super::contact_state::{ContactQuantities, STATE, State};
-use super::factors::{Chain, Common, KINDS, Kind};
+use super::factors::{Chain, Common, KINDS, Kind, ln_norm};
 use crate::known_motion::MotionRow;
 use crate::reading::PERCENT;
 use nalgebra::{DVector, Matrix3, SMatrix, Vector3};
@@ -104,17 +104,20 @@ const TURN_TAILS: f64 = 1.0;
 /// ln p(m), natural units of 1/(N mm)^2 a block, by Laplace's approximation: the integral over all states and common errors, over that of
 /// their prior, which is a density in its own residuals. What has none there is given one: the first azimuth is uniform and turns from block to
 /// block as the normal of a surface does; the first place is uniform on the wire, the second one as near as a slip goes.
+///
+/// The prior at the fit is `|J' J|^1/2 prod_i c_i k(r_i)`, J its residuals' slope, c the norm of each: `1 / sqrt(2 pi)`, or that of Student's t,
+/// `Gamma((nu + 1) / 2) / (sqrt(pi nu) Gamma(nu / 2))`, whatever weight the residual has in the fit.
 pub(super) fn ln_evidence(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
     let turns = found.x.windows(2).map(|w| (w[1][2] - w[0][2] + PI).rem_euclid(TAU) - PI);
     let turns: Vec<f64> = turns.map(|turn| (turn / TURN_RAD).powi(2)).collect();
     // A Gaussian of precision w integrates to sqrt(2 pi / w): w = 1 / (2 pi) stands for a turn, 2 pi / L^2 for L.
-    let factored = |kinds: &[Kind]| {
+    let factored = |chain: &Chain<'_>, kinds: &[Kind]| {
         let mut normal = chain.linearise(&found.x, &found.common, Common::Free, kinds);
         normal.add(1.0 / TAU, 0.0, 2, &[1.0], &[]);
         for (k, turn2) in turns.iter().enumerate() {
             // Student's t as a reweighted square, weight (nu + 1) / (nu + u^2), as in iteratively reweighted least squares.
-            let weight = (TURN_TAILS + 1.0) / (TURN_TAILS + turn2) / TURN_RAD.powi(2);
-            normal.add(weight, 0.0, STATE * k + 2, &[-1.0, 0.0, 0.0, 0.0, 0.0, 1.0], &[]);
+            let weight = if chain.heavy { (TURN_TAILS + 1.0) / (TURN_TAILS + turn2) } else { 1.0 };
+            normal.add(weight / TURN_RAD.powi(2), 0.0, STATE * k + 2, &[-1.0, 0.0, 0.0, 0.0, 0.0, 1.0], &[]);
         }
         normal.add(TAU / chain.wire.length_mm.powi(2), 0.0, 0, &[1.0], &[]);
         if let Some(step) = chain.step_mm.get(1) {
@@ -122,11 +125,14 @@ pub(super) fn ln_evidence(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
         }
         Some((normal.factor(0.0)?, normal))
     };
-    let ((with, normal), (prior, _)) = (factored(&KINDS)?, factored(&KINDS[1..])?);
+    let mut light = chain.clone();
+    light.heavy = false;
+    let ((with, normal), (prior, _)) = (factored(chain, &KINDS)?, factored(&light, &KINDS[1..])?);
     // Laplace: the posterior's volume over the prior's, by their curvatures.
     let occam = 0.5 * (prior.ln_determinant() - with.ln_determinant());
     let turning: f64 = turns.iter().map(|turn2| (TURN_TAILS + 1.0) * (turn2 / TURN_TAILS).ln_1p()).sum();
-    Some(chain.ln_densities() - 0.5 * (found.cost + turning - normal.gain(&with)) + occam)
+    let norms = chain.ln_norms() + turns.len() as f64 * ln_norm(TURN_TAILS);
+    Some(norms + chain.ln_densities() - 0.5 * (found.cost + turning - normal.gain(&with)) + occam)
 }
 
 /// The posterior at some blocks, by the curvature of the sum of squares; none where it has none.

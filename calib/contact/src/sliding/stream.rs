@@ -69,10 +69,10 @@ impl SlidingStream {
         Some((place(&each, row, lost), arc(&each, self.wire.length_mm, LOST)))
     }
 
-    /// ln p(m) of so many blocks; negative infinity where no path explains them.
-    pub fn ln_evidence(&self, blocks: usize) -> f64 {
+    /// ln p(m) of so many blocks; none where no path could be made through them.
+    pub fn ln_evidence(&self, blocks: usize) -> Option<f64> {
         let own = self.paths.iter().filter(|_| self.solved == blocks);
-        own.map(|p| p.ln_evidence).fold(f64::NEG_INFINITY, f64::max)
+        own.map(|p| p.ln_evidence).reduce(f64::max)
     }
 
     /// Draws the paths on to the newest block.

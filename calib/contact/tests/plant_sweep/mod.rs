@@ -43,9 +43,8 @@ pub fn moments(moment_nmm: [f64; 2], noise_nmm2: Matrix2<f64>, shared_nmm: Vec<[
         valid: true,
         pose_nmm2: noise_nmm2,
         own_nmm2: Some(noise_nmm2),
-        drift_nmm2: Matrix2::zeros(),
-        zero_nmm2: Matrix2::zeros(),
         shared_nmm,
+        ..Moments::default()
     }
 }
 

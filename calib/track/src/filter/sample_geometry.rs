@@ -9,7 +9,6 @@
 //! (central differences; one-sided at the end of the wire, where the curve bends).
 
 use super::grid_cell::GridCell;
-use super::object_step::ObjectStep;
 use crate::inverse::InverseSolution;
 use nalgebra::Vector3;
 
@@ -41,16 +40,9 @@ pub(super) struct ContactState<'c> {
 }
 
 impl ContactState<'_> {
-    /// The same point of the object after its motion; the direction of the force is one of the object's, too.
-    pub fn carried(self, step: &ObjectStep) -> Self {
-        let turned = |v: Vector3<f64>| step.turn * v;
-        Self {
-            point_mm: self.point_mm + step.displacement_mm(&self.point_mm),
-            normal: turned(self.normal),
-            point_slope: turned(self.point_slope),
-            normal_slope: turned(self.normal_slope),
-            ..self
-        }
+    /// The same point of the object after the base's travel along its +z, mm.
+    pub fn carried(self, travel_mm: f64) -> Self {
+        Self { point_mm: self.point_mm - Vector3::z() * travel_mm, ..self }
     }
 }
 

@@ -1,13 +1,12 @@
 //! Transition: how a contact gets from one node to another between two samples; `likelihood` says how well that explains the moments.
 //!
-//! Between samples the object moves by Q, w (`ObjectStep`; past a base that travels by `z = u dt` along its +z, Q = 1 and w = -z e_z) and z is
-//! the length of that displacement. From a contact (p_j, n_j), which goes to (Q p_j + w, Q n_j), to node k, with `d = p_k - Q p_j - w` the
-//! path on the object and n the mean direction of the force:
+//! Between samples the base travels by `z = u dt` along its +z, so that the object moves by w = -z e_z. From a contact (p_j, n_j), which goes
+//! to (p_j + w, n_j), to node k, with `d = p_k - p_j - w` the path on the object and n the mean direction of the force:
 //!
 //! ```text
 //! constraint     e_1 = n . d + f D,  f = mu / sqrt(1 + mu^2),  D = slip_x^2 / |slip|      (Coulomb friction across the wire)
-//! its variance   r_1 = s_c^2 + (q z)^2 + s_m^2 (c_j^2 + c_k^2) + n_z^2 var_z + s_d^2 + s_f^2 D^2 + (h |n_k - n_j| |slip|)^2
-//! path           e_2 = (s_k - s_j) - v_i a z,  r_2 = var_i     i: constant velocity, perturbed, reset; a: cosine to the motion before
+//! its variance   r_1 = s_c^2 + (q z)^2 + s_m^2 (c_j^2 + c_k^2) + n_z^2 var_z + s_f^2 D^2 + (h |n_k - n_j| |slip|)^2
+//! path           e_2 = (s_k - s_j) - v_i z,  r_2 = var_i       i: constant velocity, perturbed, reset
 //! turn           about the wire: Laplace mixture of smooth and sharp objects
 //! likelihood     p(m) = p(e_1, e_2) p(turn) c_k b_k            c_k = |dg/dm|, b_k = |dturn/dm| (change of variables to the moments)
 //! jump           rate per mm of travel; against the force, exponential along the wire or uniform
@@ -22,7 +21,6 @@ mod model;
 
 use super::exp::exp;
 use super::grid_cell::{GridCell, LinearGaussianPair, MAX_MAHALANOBIS2, MAX_TRUNCATED_SDS, MomentSums};
-use super::object_step::ObjectStep;
 use super::sample_geometry::{ContactState, SampleGeometry};
 use super::settings::BayesSettings;
 use crate::inverse::{InverseSolution, StaticInverse};
@@ -54,24 +52,10 @@ const MIN_PAST_END: f64 = 1e-4;
 /// A step of the object with what is known of it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct KnownStep {
-    /// Motion of the object.
-    pub object: ObjectStep,
-    /// Length of the displacement, mm, and its standard deviation where the base's speed is one of several.
+    /// Travel of the base along its +z, mm, and its standard deviation where the base's speed is one of several.
     pub travel_mm: f64,
     /// See `travel_mm`.
     pub travel_sd_mm: f64,
-    /// Part of the displacement along the motion before, mm: less than all of it after a turn, negative after a reversal.
-    pub onward_mm: f64,
-    /// Whether the object only ever comes along the base's -z: contacts then move outward as it loads the wire.
-    pub sweep: bool,
-}
-
-impl KnownStep {
-    /// Of a base that travels along its +z.
-    pub fn of_sweep(travel_mm: f64, travel_sd_mm: f64) -> Self {
-        let object = ObjectStep::past_base(travel_mm);
-        Self { object, travel_mm, travel_sd_mm, onward_mm: travel_mm.abs(), sweep: true }
-    }
 }
 
 /// Distance of two nodes on the wire, mm.
@@ -127,9 +111,8 @@ impl<'a> TransitionModel<'a> {
             // Probability that the deflection is at most the base's travel: Phi of the distance over its standard deviation.
             let depth = step.map_or(1.0, |step| {
                 let rest = self.before.solutions[j].point_mm;
-                let off = c.normal.dot(&(c.point_mm - rest - step.object.displacement_mm(&rest)));
+                let off = c.normal.dot(&(c.point_mm - rest)) + c.normal.z * step.travel_mm;
                 let variance = self.constraint_variance(step.travel_mm)
-                    + step.object.sd_mm.powi(2)
                     + (self.settings.noise_nmm * c.compliance_mm_per_nmm).powi(2)
                     + (c.normal.z * step.travel_sd_mm).powi(2);
                 0.5 * erfc(off / (SQRT_2 * variance.sqrt()))
@@ -160,11 +143,8 @@ impl<'a> TransitionModel<'a> {
         let variance = |sd: [f64; 2]| (sd[0] + sd[1] * travel).powi(2);
         let path_variances = [s.constant_velocity, s.perturbed, s.reset].map(variance);
         let step = BaseStep {
-            object: known.object,
-            sweep: known.sweep,
             travel_mm,
             travel_variance_mm2: travel_sd_mm * travel_sd_mm,
-            onward_mm: known.onward_mm,
             drag: along(friction),
             drag_variance: if friction > 0.0 { s.friction_sd * s.friction_sd } else { 0.0 },
             path_variances,
@@ -178,11 +158,11 @@ impl<'a> TransitionModel<'a> {
         let of_row: f64 = row.iter().map(|c| c.weight).sum();
         let least_jump = (MIN_JUMP_WEIGHT * total).max(MIN_JUMP_WEIGHT_OF_ROW * of_row);
         for (k, cell) in row.iter().enumerate().filter(|(_, c)| c.weight > MIN_WEIGHT * total) {
-            let from = self.before.contact(k, cell).carried(&step.object);
+            let from = self.before.contact(k, cell).carried(travel_mm);
             self.wire_transition(k, (1.0 - jump_share) * cell.weight, &from, &step, &mut new);
             self.tip_transition(k, (1.0 - jump_share) * cell.weight, &from, &step, &mut new);
             if cell.weight > least_jump {
-                self.jump_density(k, jump_share * cell.weight, &from, &step, &mut new);
+                self.jump_density(k, jump_share * cell.weight, &from, &mut new);
             }
         }
         let both = new.iter().zip(self.now.solutions);
@@ -190,14 +170,7 @@ impl<'a> TransitionModel<'a> {
     }
 
     /// Jumps: against the force, away from the surface that held the wire; mostly a short path along it, rarely to anywhere.
-    fn jump_density(
-        &self,
-        k: usize,
-        weight: f64,
-        from: &ContactState<'_>,
-        _step: &BaseStep,
-        new: &mut [MomentSums],
-    ) {
+    fn jump_density(&self, k: usize, weight: f64, from: &ContactState<'_>, new: &mut [MomentSums]) {
         let s = self.settings;
         let at_tip = k >= self.first_tip;
         let nearest = k.min(self.first_tip - 1);
@@ -245,7 +218,7 @@ impl<'a> TransitionModel<'a> {
         let mut weight = weight;
         let at_tip = k >= self.first_tip;
         if at_tip {
-            let across = step.object.turn * self.before.solutions[self.first_tip - 1].normal;
+            let across = self.before.solutions[self.first_tip - 1].normal;
             let tilt = (from.normal - across).norm();
             weight *= TIP_TO_WIRE * exp(-tilt / (TIP_TO_WIRE_TILT + step.tip_variances[2].sqrt()));
             if weight < 1e-12 {
@@ -258,10 +231,8 @@ impl<'a> TransitionModel<'a> {
         let from_mm =
             self.inverse.nodes[nearest].arclength_mm + if at_tip { 0.0 } else { from.cell.offset * node_mm };
         let nodes = (step.reach_mm / node_mm).ceil() as usize;
-        // Contacts move outward as an object loads the wire, inward as it retracts.
-        let loading = if step.sweep { 1.0 } else { from.normal.dot(&step.object.moved_mm).signum() };
-        let modes =
-            self.velocity_modes(&step.path_variances, from.cell, step, loading * self.settings.reset_mean);
+        // Contacts move outward as an object loads the wire.
+        let modes = self.velocity_modes(&step.path_variances, from.cell, step, self.settings.reset_mean);
         for (j, new) in new
             .iter_mut()
             .enumerate()
@@ -289,7 +260,7 @@ impl<'a> TransitionModel<'a> {
     ) -> [(f64, f64); 3] {
         let travel = step.travel_mm.abs();
         let carried = cell.velocity_variance * travel * travel;
-        let mean = cell.velocity * step.onward_mm;
+        let mean = cell.velocity * travel;
         [(mean, variances[0] + carried), (mean, variances[1] + carried), (reset_mean * travel, variances[2])]
     }
 

@@ -453,27 +453,4 @@ impl NodeFilter {
         self.mean = DVector::from_fn(size, |i, _| self.mean[kept(i)]);
         self.covariance = DMatrix::from_fn(size, size, |i, j| self.covariance[(kept(i), kept(j))]);
     }
-
-    /// A node between others by Lagrange's polynomial through up to four, its covariance by the two next to it.
-    pub fn between(nodes: &[&Self], k: usize, reading: &Reading<'_>) -> Option<Self> {
-        let (a, b) = (nodes[k], nodes[k + 1]);
-        let s_mm = 0.5 * (a.s_mm + b.s_mm);
-        let around = &nodes[k.saturating_sub(1)..(k + 3).min(nodes.len())];
-        let weight = |i: usize| -> f64 {
-            let others = around.iter().enumerate().filter(|(j, _)| *j != i);
-            others.map(|(_, n)| (s_mm - n.s_mm) / (around[i].s_mm - n.s_mm)).product()
-        };
-        let weights: Vec<f64> = (0..around.len()).map(weight).collect();
-        let mix =
-            |of: &dyn Fn(&Self) -> f64| around.iter().zip(&weights).map(|(n, w)| w * of(n)).sum::<f64>();
-        let mut node = a.clone();
-        node.put(reading.field, &reading.push, s_mm)?;
-        node.mean = DVector::from_fn(a.mean.len(), |i, _| mix(&|n| n.mean[i]));
-        node.covariance = (&a.covariance + &b.covariance) * 0.5;
-        node.ln = mix(&|n| n.ln);
-        node.chi2 = [0, 1].map(|c| mix(&|n| n.chi2[c]));
-        node.outlier = 0.5 * (a.outlier + b.outlier);
-        node.contact = a.contact.zip(b.contact).map(|(p, q)| (0.5 * (p.0 + q.0), (p.1 + q.1) * 0.5));
-        Some(node)
-    }
 }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! constraint     e_1 = n . d + f D,  f = mu / sqrt(1 + mu^2),  D = slip_x^2 / |slip|      (Coulomb friction across the wire)
-//! its variance   r_1 = s_c^2 + (q z)^2 + s_m^2 (c_j^2 + c_k^2) + n_z^2 var_z + s_d^2 + s_f^2 D^2 + (h |n_k - n_j| |slip|)^2
+//! its variance   r_1 = s_c^2 + (q z)^2 + s_m^2 (c_j^2 + c_k^2) + n_z^2 var_z + s_f^2 D^2 + (h |n_k - n_j| |slip|)^2
 //! turn           about the wire: p(turn) = (1 - w) Laplace(b_smooth) + w Laplace(b_sharp)
 //! slip           exp(-(|slip| - 1.2 z) / sd) where it is longer than the base's travel z allows
 //! ```
@@ -94,7 +94,6 @@ impl TransitionModel<'_> {
         let bent =
             (to.normal - from.normal).norm_squared() * slip_mm.norm_squared() * s.turn_share * s.turn_share;
         let noise = self.constraint_variance(step.travel_mm)
-            + step.object.sd_mm.powi(2)
             + s.noise_nmm.powi(2) * compliances
             + normal.z * normal.z * step.travel_variance_mm2
             + step.drag_variance * shift * shift

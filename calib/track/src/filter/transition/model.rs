@@ -1,6 +1,5 @@
 //! What a transition is computed from: the inverse's solutions of two samples, and what one step of the base allows.
 
-use super::super::object_step::ObjectStep;
 use super::super::sample_geometry::SampleGeometry;
 use super::super::settings::BayesSettings;
 use crate::inverse::StaticInverse;
@@ -19,13 +18,9 @@ pub(crate) struct TransitionModel<'a> {
 
 /// What one step of the base allows.
 pub(super) struct BaseStep {
-    /// Motion of the object.
-    pub(super) object: ObjectStep,
-    pub(super) sweep: bool,
-    /// Length of the displacement, mm, its variance where the speed is one of several, and its part along the motion before.
+    /// Travel, mm, and its variance where the speed is one of several.
     pub(super) travel_mm: f64,
     pub(super) travel_variance_mm2: f64,
-    pub(super) onward_mm: f64,
     /// Part of the force along the surface against a slip, f = mu / sqrt(1 + mu^2), and its variance.
     pub(super) drag: f64,
     pub(super) drag_variance: f64,

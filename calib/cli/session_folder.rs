@@ -119,3 +119,31 @@ fn import_line(table: &Path, header: &str, first: &str) -> String {
     }
     format!("{line} --out {}", quoted(&target(table)))
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+    use super::{expect_session, import_line};
+
+    #[test]
+    fn a_folder_that_is_no_session_is_named_with_the_one_below() {
+        let place = tempfile::tempdir().unwrap();
+        let said = |path: &std::path::Path| expect_session(path, "verify").unwrap_err().to_string();
+        assert!(said(&place.path().join("none")).contains("no such folder"));
+        let session = place.path().join("own");
+        std::fs::create_dir(&session).unwrap();
+        std::fs::write(session.join("session.toml"), "").unwrap();
+        assert!(said(place.path()).contains(&format!("wcal verify {}", session.display())));
+        assert!(expect_session(&session, "verify").is_ok(), "negative control");
+    }
+
+    #[test]
+    fn separators_are_left_to_the_header() {
+        let line = |header: &str, first: &str| import_line("t.csv".as_ref(), header, first);
+        assert!(!line("Kraft;Signal;T_C", "N;mV;C").contains("--separator"));
+        assert!(
+            line("1,5;2,5", "2,5;3,5").contains("--separator semicolon --decimal-comma"),
+            "negative control"
+        );
+    }
+}

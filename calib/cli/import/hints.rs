@@ -41,3 +41,19 @@ pub(crate) fn quoted(word: &str) -> String {
         format!("'{}'", word.replace('\'', r"'\''"))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::option_of;
+
+    #[test]
+    fn a_temperature_is_told_by_its_unit_and_a_time_by_its_own() {
+        for name in ["T_C", "T (K)", "T [degC]", "Temp."] {
+            assert_eq!(option_of(name), Some("--temperature"), "{name}");
+        }
+        for name in ["t_s", "t", "Zeit"] {
+            assert_eq!(option_of(name), Some("--time"), "{name}");
+        }
+        assert_eq!(option_of("C"), None, "negative control");
+    }
+}

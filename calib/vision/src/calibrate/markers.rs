@@ -318,7 +318,7 @@ fn board_tags(picture: &Picture, family: &str, wanted: usize) -> Result<Vec<Tag>
 
 /// Another board than the stated one that a few pictures from all over the set show, in words: of other tags, or with one row or column more or less.
 pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
-    const LOOK: usize = 4;
+    const LOOK: usize = 2;
     let some = pictures.iter().step_by(pictures.len().div_ceil(LOOK).max(1));
     let some: Vec<Picture> = some.filter_map(|path| Picture::read(path).ok()).collect();
     // Shown by most of them, or by one alone where there is no other.
@@ -335,7 +335,7 @@ pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
             let others = FAMILIES.iter().filter(|kind| *kind != family && !kind.ends_with(WIDE_BORDER));
             // Small tags are seen by chance here and there, half a board of them is not.
             let seen = others.into_iter().find(|kind| shown(&|p| 2 * count(p, kind) > tags) >= enough)?;
-            Some(format!("no tag of {family} is seen, tags of {seen} are: --dictionary {seen}"))
+            Some(format!("tags of {seen}, none of {family} (--dictionary {seen})"))
         }
         Pattern::Chessboard => {
             let BoardSize { columns, rows } = board.size;
@@ -356,7 +356,7 @@ pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
                     (size.columns.min(size.rows) > 1).then_some(size)
                 });
             let seen = sizes.into_iter().find(|size| shown(&|p| whole(p, *size)) >= enough)?;
-            Some(format!("{seen} inner corners are seen: --board {seen}"))
+            Some(format!("{seen} inner corners (--board {seen})"))
         }
     }
 }

@@ -314,7 +314,8 @@ fn a_table_of_too_many_columns_is_refused_at_its_header() {
         fs::write(&path, format!("{}\n{}\n1;2\n", line(&|k| format!("c{k}")), line(&|k| k.to_string())))
             .unwrap();
         let layout = wcal_session::TextTableLayout { asked, ..Default::default() };
-        wcal_session::read_text_table(&path, &layout).unwrap_err().to_string()
+        wcal_session::read_text_table(&path, &layout)
+            .map_or_else(|error| error.to_string(), |_| String::new())
     };
     for asked in [None, Some(vec!["c1".to_owned()])] {
         let error = read(20_005, asked.clone());

@@ -37,7 +37,7 @@ mod schemas_test;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
-use wcal_core::text::brief;
+use wcal_core::text::{brief, printable};
 
 /// Calibrates whisker touch sensors, and any instrument that gives a table of readings: finds what the model of it lacks.
 #[derive(Debug, Parser)]
@@ -143,7 +143,7 @@ fn with_causes(error: &anyhow::Error) -> String {
             said if said.ends_with(&cause) => text,
             said => format!("{said}: {cause}"),
         });
-    if whole.chars().count() > LONGEST { brief(&whole) } else { whole }
+    if whole.chars().count() > LONGEST { brief(&whole) } else { printable(&whole) }
 }
 
 /// The command line with its help in whole paragraphs: the terminal's width breaks them, not the source's.

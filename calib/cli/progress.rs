@@ -16,6 +16,8 @@ const LINES: Duration = Duration::from_secs(10);
 const REDRAWN: Duration = Duration::from_millis(200);
 /// Part done below which the time left is a guess.
 const MIN_DONE: f64 = 0.02;
+/// Steps done below which it is one, too: the first may be short.
+const MIN_STEPS: usize = 2;
 
 /// Where a piece of work is.
 #[derive(Debug, Clone)]
@@ -24,6 +26,8 @@ struct State {
     done: Option<f64>,
     /// When this count of parts began.
     since: Instant,
+    /// Steps that it has made.
+    steps: usize,
 }
 
 /// Shows where a piece of work is until it is dropped. Shared by reference or clone of its `Reporter` among threads.
@@ -50,8 +54,9 @@ impl Reporter {
     pub fn at(&self, stage: &str, done: f64) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if state.done.is_none_or(|before| done < 0.5 * before) {
-            state.since = Instant::now();
+            (state.since, state.steps) = (Instant::now(), 0);
         }
+        state.steps += usize::from(state.done.is_some_and(|before| done > before));
         if state.stage != stage {
             stage.clone_into(&mut state.stage);
         }
@@ -66,7 +71,7 @@ impl Reporter {
 impl Progress {
     /// Of a command; its part done is not known before the first `at`.
     pub fn new(what: &str) -> Self {
-        let state = State { stage: String::new(), done: None, since: Instant::now() };
+        let state = State { stage: String::new(), done: None, since: Instant::now(), steps: 0 };
         let reporter = Reporter { state: Arc::new(Mutex::new(state)) };
         let (stop, stopped) = channel();
         let (own, what) = (reporter.clone(), what.to_owned());
@@ -130,7 +135,7 @@ fn spinner() -> ProgressBar {
 fn line(what: &str, state: &State, elapsed: Duration, now: Instant) -> String {
     let stage = if state.stage.is_empty() { String::new() } else { format!(" {},", state.stage) };
     match state.done {
-        Some(done) if done >= MIN_DONE => {
+        Some(done) if done >= MIN_DONE && state.steps >= MIN_STEPS => {
             let left_s = now.duration_since(state.since).as_secs_f64() * (1.0 - done) / done;
             format!("{what}:{stage} {:.0} %, about {} left", 100.0 * done, duration(left_s))
         }
@@ -155,11 +160,14 @@ mod tests {
     #[test]
     fn a_line_states_stage_part_and_time_left() {
         let since = Instant::now();
-        let at = |done| State { stage: "tables".to_owned(), done, since };
+        let at = |done| State { stage: "tables".to_owned(), done, since, steps: 2 };
         let shown =
             |done, s| line("evaluate", &at(done), Duration::from_secs(s), since + Duration::from_secs(s));
         assert_eq!(shown(Some(0.25), 30), "evaluate: tables, 25 %, about 1 min 30 s left");
-        // Nothing is extrapolated from next to nothing.
+        // Nothing is extrapolated from next to nothing, nor from a single step.
+        let first = State { steps: 1, ..at(Some(0.25)) };
+        let said = line("evaluate", &first, Duration::from_secs(30), since + Duration::from_secs(30));
+        assert_eq!(said, "evaluate: tables, running for 30 s");
         assert_eq!(shown(Some(0.001), 30), "evaluate: tables, running for 30 s");
         assert_eq!(shown(None, 7300), "evaluate: tables, running for 2 h 1 min");
     }

@@ -25,10 +25,16 @@ const BESIDE: &[&str] = &[
 /// # Errors
 /// Where `session` is a file other than `session.toml`.
 pub fn expect_session(session: &Path, command: &str) -> Result<()> {
+    let shown = session.display();
+    if session.is_dir() || !session.exists() {
+        return match session.join("session.toml").exists() {
+            true => Ok(()),
+            false => Err(no_session(session, command)),
+        };
+    }
     if !session.is_file() || session.file_name().is_some_and(|n| n == "session.toml") {
         return Ok(());
     }
-    let shown = session.display();
     if let Some(folder) = session.parent().filter(|f| f.join("session.toml").is_file()) {
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
         bail!(
@@ -47,6 +53,18 @@ pub fn expect_session(session: &Path, command: &str) -> Result<()> {
     )
 }
 
+/// Where there is no session: the one that is meant, if any is below.
+fn no_session(folder: &Path, command: &str) -> anyhow::Error {
+    let found = if folder.exists() { "a folder without session.toml" } else { "no such folder" };
+    let below = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let meant = below.filter(|path| path.join("session.toml").is_file()).min();
+    let way_out = meant.map_or_else(
+        || "wcal import makes one of a table, wcal stage-sweep on the bench".to_owned(),
+        |session| format!("wcal {command} {}", quoted(&session.display().to_string())),
+    );
+    anyhow!("{}: expected a session folder, with session.toml, found {found}; {way_out}", folder.display())
+}
+
 /// `cell.csv` becomes the session `cell`.
 fn target(table: &Path) -> String {
     let name = table.file_stem().map_or_else(|| "session".into(), |s| s.to_string_lossy().into_owned());
@@ -62,13 +80,17 @@ fn import_line(table: &Path, header: &str, first: &str) -> String {
     let row: Vec<&str> = first.split(separator).map(str::trim).collect();
     let has = |name: &str| cells.contains(&name);
     let mut line = format!("wcal import {}", quoted(&table.display().to_string()));
-    match separator {
-        ';' => line += " --separator semicolon",
-        '\t' => line += " --separator tab",
-        _ => {}
-    }
-    if separator != ',' && row.iter().any(|cell| cell.contains(',') && is_number(cell)) {
-        line += " --decimal-comma";
+    // With a header both are found by the names of the columns, below lines of units, too.
+    let mark = match separator {
+        ';' => " --separator semicolon",
+        '\t' => " --separator tab",
+        _ => "",
+    };
+    if headless {
+        line += mark;
+        if separator != ',' && cells.iter().any(|cell| cell.contains(',')) {
+            line += " --decimal-comma";
+        }
     }
     if has("commanded_mm") && has("measured_mm") {
         line += " --kind axis --commanded commanded_mm --measured measured_mm";
@@ -96,4 +118,32 @@ fn import_line(table: &Path, header: &str, first: &str) -> String {
         line += " --model linear";
     }
     format!("{line} --out {}", quoted(&target(table)))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used, reason = "a test that fails should say where")]
+    use super::{expect_session, import_line};
+
+    #[test]
+    fn a_folder_that_is_no_session_is_named_with_the_one_below() {
+        let place = tempfile::tempdir().unwrap();
+        let said = |path: &std::path::Path| expect_session(path, "verify").unwrap_err().to_string();
+        assert!(said(&place.path().join("none")).contains("no such folder"));
+        let session = place.path().join("own");
+        std::fs::create_dir(&session).unwrap();
+        std::fs::write(session.join("session.toml"), "").unwrap();
+        assert!(said(place.path()).contains(&format!("wcal verify {}", session.display())));
+        assert!(expect_session(&session, "verify").is_ok(), "negative control");
+    }
+
+    #[test]
+    fn separators_are_left_to_the_header() {
+        let line = |header: &str, first: &str| import_line("t.csv".as_ref(), header, first);
+        assert!(!line("Kraft;Signal;T_C", "N;mV;C").contains("--separator"));
+        assert!(
+            line("1,5;2,5", "2,5;3,5").contains("--separator semicolon --decimal-comma"),
+            "negative control"
+        );
+    }
 }

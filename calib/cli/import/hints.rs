@@ -7,7 +7,7 @@ const WORDS: [(&str, &[&str]); 4] = [
         "--replicate",
         &["cycle", "zyklus", "run", "series", "serie", "rep", "repeat", "replicate", "repetition"],
     ),
-    ("--temperature", &["temp", "temperature", "temperatur", "degc"]),
+    ("--temperature", &["temp", "temperature", "temperatur", "degc", "t_c", "t_k", "t_f", "t_degc"]),
     ("--time", &["time", "t", "zeit", "date", "datum", "timestamp", "clock", "elapsed", "seconds"]),
 ];
 
@@ -24,8 +24,12 @@ pub(super) fn is_deviation(name: &str) -> bool {
 /// The option that takes a column of this name; none where the name does not tell.
 pub(crate) fn option_of(name: &str) -> Option<&'static str> {
     let name = name.to_lowercase();
-    let words: Vec<&str> = name.split(|c: char| !c.is_alphanumeric()).collect();
-    WORDS.iter().find(|(_, of)| words.iter().any(|word| of.contains(word))).map(|(option, _)| *option)
+    let words: Vec<&str> =
+        name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).collect();
+    // A temperature may be told by its unit alone: T_C, T (K).
+    let whole = words.join("_");
+    let told = |of: &[&str]| of.contains(&whole.as_str()) || words.iter().any(|word| of.contains(word));
+    WORDS.iter().find(|(_, of)| told(of)).map(|(option, _)| *option)
 }
 
 /// A word as a shell takes it.
@@ -35,5 +39,21 @@ pub(crate) fn quoted(word: &str) -> String {
         word.to_owned()
     } else {
         format!("'{}'", word.replace('\'', r"'\''"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::option_of;
+
+    #[test]
+    fn a_temperature_is_told_by_its_unit_and_a_time_by_its_own() {
+        for name in ["T_C", "T (K)", "T [degC]", "Temp."] {
+            assert_eq!(option_of(name), Some("--temperature"), "{name}");
+        }
+        for name in ["t_s", "t", "Zeit"] {
+            assert_eq!(option_of(name), Some("--time"), "{name}");
+        }
+        assert_eq!(option_of("C"), None, "negative control");
     }
 }

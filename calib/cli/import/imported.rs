@@ -11,6 +11,7 @@ use serde::Serialize;
 use std::path::Path;
 use std::process::ExitCode;
 use wcal_core::InputFile;
+use wcal_core::text::{brief, printable};
 use wcal_session::TextTable;
 
 /// Name of the object's mesh in the folder.
@@ -102,17 +103,18 @@ pub(super) fn say(
         println!("{}", serde_json::to_string_pretty(document)?);
     } else {
         let what = if kind == "sweep" { "sweep" } else { "session" };
-        println!("{}: {rows} rows, {what} {session:?}{}", args.out.display(), word(document.simulated));
+        let folder = printable(&args.out.display().to_string());
+        println!("{folder}: {rows} rows, {what} {session:?}{}", word(document.simulated));
     }
     // Of the tables that were given: those of the session end as they should.
     for remark in sources.iter().filter_map(|table| table.warning()) {
         eprintln!("{remark}");
     }
     for remark in &document.remarks {
-        eprintln!("{remark}");
+        eprintln!("{}", brief(remark));
     }
     for (source, encoding) in sources.iter().filter_map(|s| Some((s, s.encoding?))) {
-        eprintln!("{}: read as {encoding}", source.file);
+        eprintln!("{}: read as {encoding}", brief(&source.file));
     }
     let (uncertain, others): (Vec<&str>, Vec<&str>) =
         columns_left_out.iter().map(String::as_str).partition(|name| is_uncertainty(name));
@@ -123,16 +125,16 @@ pub(super) fn say(
             option.map_or((*name).to_owned(), |option| format!("{name} ({option} {})", quoted(name)))
         };
         let shown: Vec<String> = others.iter().map(shown).collect();
-        eprintln!("columns not imported: {}{way_in}", shown.join(", "));
+        eprintln!("columns not imported: {}{way_in}", printable(&shown.join(", ")));
     }
-    for name in uncertain {
+    for name in uncertain.into_iter().map(printable) {
         eprintln!(
             "column not imported: {name} looks like an uncertainty; --stimulus-sd {name} takes the stimulus' standard one, which weighs the fit. \
              What all readings share of it, as the reference's own error, comes on top of the stated uncertainties. As a covariate it would count as a cause"
         );
     }
     for warning in warnings {
-        eprintln!("warning: {warning}");
+        eprintln!("warning: {}", printable(warning));
     }
     Ok(ExitCode::from(if warnings.is_empty() { 0 } else { 3 }))
 }

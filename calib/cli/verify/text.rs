@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use wcal_contact::groove_comparison::groove_sentence;
 use wcal_core::ResidualRecord;
-use wcal_core::text::{chance, readable, with_unit};
+use wcal_core::text::{brief, chance, readable, with_unit};
 use wcal_core::verify_document::{ContactComparison, HoldoutOutcome, WitnessTest};
 use wcal_report::ReportInput;
 use wcal_trace::scalar::ScalarData;
@@ -80,7 +80,7 @@ pub fn print_text(report: &ReportInput, out: &Path) {
     let verdict = serde_json::to_value(v.verdict).unwrap_or_default();
     let contradicted = v.holdout.outcome == HoldoutOutcome::Contradicted;
     let but = if contradicted { ", but the sealed readings contradict it" } else { "" };
-    println!("{}{}: {}{but}", v.session, word(v.simulated), verdict.as_str().unwrap_or_default());
+    println!("{}{}: {}{but}", brief(&v.session), word(v.simulated), verdict.as_str().unwrap_or_default());
     if let Some(contact) = &v.contact {
         println!("  {}", contact_line(contact));
     }

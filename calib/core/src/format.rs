@@ -6,7 +6,7 @@
 pub struct FormatMismatch {
     /// The one that is read.
     pub expected: String,
-    /// What the document states, and whether a newer wcal reads it.
+    /// What the document states, and whether a newer wcal reads it or an older one wrote it.
     pub found: String,
 }
 
@@ -18,8 +18,11 @@ pub fn expect(expected: &str, found: Option<&str>) -> Result<(), FormatMismatch>
     if found == Some(expected) {
         return Ok(());
     }
-    let newer = found.is_some_and(|found| is_newer(expected, found));
-    let hint = if newer { " (a newer version: update wcal to read it)" } else { "" };
+    let hint = match found {
+        Some(found) if is_newer(expected, found) => " (a newer version: update wcal to read it)",
+        Some(found) if is_newer(found, expected) => " (an older version, which this wcal no longer reads)",
+        _ => "",
+    };
     let shown = |found: &str| format!("{:?}{hint}", found.chars().take(60).collect::<String>());
     let found = found.map_or_else(|| "nothing".to_owned(), shown);
     Err(FormatMismatch { expected: expected.to_owned(), found })
@@ -43,6 +46,7 @@ mod tests {
         assert_eq!(expect("wcal-plan/1", Some("wcal-plan/1")), Ok(()));
         let says = |found| expect("wcal-plan/1", found).unwrap_err().to_string();
         assert!(says(Some("wcal-plan/9")).contains("update wcal"));
+        assert!(says(Some("wcal-plan/0")).contains("an older version"));
         for other in [None, Some("wcal-plan/0"), Some("wcal-rig/9"), Some("wcal-plan/1 "), Some("")] {
             let error = says(other);
             assert!(error.contains("expected \"wcal-plan/1\"") && !error.contains("update"), "{error}");

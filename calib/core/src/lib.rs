@@ -42,6 +42,6 @@ pub use observation::{
 };
 pub use provenance::{InputFile, Provenance, Purpose};
 pub use residual::ResidualRecord;
-pub use sealed::{Decide, Labelled, Ledger, Look, Opened, Opening, RowLabel, Sealed};
+pub use sealed::{Decide, Labelled, Ledger, Look, Opened, Opening, RowLabel, Sealed, fingerprint};
 pub use sealed_rows::SealedRows;
 pub use wire_frame::WireFrame;

@@ -9,6 +9,7 @@
 //! decision on the same holdout is dearer than the first).
 
 use crate::provenance::{canonical_json, sha256_hex};
+use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 
@@ -94,6 +95,13 @@ impl<R> Default for Sealed<R> {
     fn default() -> Self {
         Self { rows: Vec::new() }
     }
+}
+
+/// Hash of a row by the numbers that were set and read, to ten digits: 16 hex digits. Form and place in a table do not change it.
+pub fn fingerprint(numbers: &[f64]) -> String {
+    // A zero has no sign.
+    let text: Vec<String> = numbers.iter().map(|number| format!("{:.9e}", number + 0.0)).collect();
+    sha256_hex(text.join(" ").as_bytes()).chars().take(16).collect()
 }
 
 /// A decision that holds still: what is hashed is what is judged.
@@ -208,6 +216,16 @@ impl<R> Sealed<R> {
         self.rows.iter().map(Labelled::label).collect()
     }
 
+    /// Hash of each row's `content`, and the file that it came from: rows are known again by it, and no value comes out.
+    pub fn fingerprints<C: ?Sized>(
+        &self,
+        with: &C,
+        content: fn(&R, &C) -> (String, Vec<f64>),
+    ) -> BTreeMap<String, String> {
+        let contents = self.rows.iter().map(|row| content(row, with));
+        contents.map(|(file, numbers)| (fingerprint(&numbers), file)).collect()
+    }
+
     /// Hands the rows to a check of admission, which decides whether the data can be used; only its refusal comes out, in a sentence.
     pub fn refusal<C: ?Sized>(&self, with: &C, check: fn(&[R], &C) -> Option<String>) -> Option<String> {
         check(&self.rows, with)
@@ -252,6 +270,16 @@ mod tests {
         // Control: unsealed they are there.
         let opened = sealed.unseal(Value(0.0), &Ledger::default()).unwrap();
         assert_eq!(opened.assess(|_, rows, _| rows.to_vec()).1, [41.5, 42.5]);
+    }
+
+    #[test]
+    fn a_row_is_known_by_its_numbers_to_ten_digits() {
+        let known = |numbers: &[f64]| fingerprint(numbers);
+        assert_eq!(known(&[1.0, 0.0]), known(&["1.00000000000001".parse().unwrap(), -0.0]));
+        assert_ne!(known(&[1.0, 0.0]), known(&[0.0, 1.0]), "negative control: columns that are exchanged");
+        assert_ne!(known(&[1.0]), known(&[1.000_000_1]), "negative control: another reading");
+        let sealed = Sealed::new(vec![1.5, 1.5, 2.5]);
+        assert_eq!(sealed.fingerprints("h.csv", |row, file| (file.to_owned(), vec![*row])).len(), 2);
     }
 
     #[test]

@@ -42,18 +42,31 @@ pub fn other_than_text(bytes: &[u8]) -> Option<NotUtf8> {
 pub fn brief(text: &str) -> String {
     /// Characters of the beginning and of the end that are kept.
     const KEPT: [usize; 2] = [220, 80];
-    let plain = |c: char| if c.is_control() { ' ' } else { c };
+    let text = printable(text).replace('\n', " ");
     let text = text.trim();
     let head = text.char_indices().nth(KEPT[0]).map(|(at, _)| at);
     let tail = text.char_indices().rev().nth(KEPT[1] - 1).map(|(at, _)| at);
     match (head, tail) {
         (Some(head), Some(tail)) if head < tail => {
-            let [head, tail] =
-                [&text[..head], &text[tail..]].map(|part| part.chars().map(plain).collect::<String>());
-            format!("{head} ... {tail}")
+            format!("{} ... {}", &text[..head], &text[tail..])
         }
-        _ => text.chars().map(plain).collect(),
+        _ => text.to_owned(),
     }
+}
+
+/// A text for the terminal: its characters that control one (Unicode's Cc but the line's end), that turn or hide others or end a line (Cf, Zl, Zp) are
+/// blanks.
+pub fn printable(text: &str) -> String {
+    let controls = |c: char| {
+        matches!(
+            c,
+            '\u{ad}' | '\u{600}'..='\u{605}' | '\u{61c}' | '\u{6dd}' | '\u{70f}' | '\u{890}' | '\u{891}' | '\u{8e2}' | '\u{180e}'
+                | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}'
+                | '\u{fff9}'..='\u{fffb}' | '\u{110bd}' | '\u{110cd}' | '\u{13430}'..='\u{1343f}' | '\u{1bca0}'..='\u{1bca3}'
+                | '\u{1d173}'..='\u{1d17a}' | '\u{e0001}' | '\u{e0020}'..='\u{e007f}'
+        )
+    };
+    text.chars().map(|c| if c != '\n' && (c.is_control() || controls(c)) { ' ' } else { c }).collect()
 }
 
 /// UTF-8 text without its byte order mark.
@@ -164,6 +177,13 @@ mod tests {
         let found = brief(&long);
         assert!(found.starts_with("begin") && found.ends_with("end at line 3"), "{found}");
         assert!(found.chars().count() < 320, "{}", found.chars().count());
+        let hidden = brief("a\u{1b}]0;t\u{7}b\u{9b}2J\u{202e}c\u{200b}d\ne");
+        assert_eq!(hidden, "a ]0;t b 2J c d e");
+        assert_eq!(
+            printable("Kraft (N) \u{b0}C\n\u{4e2d}"),
+            "Kraft (N) \u{b0}C\n\u{4e2d}",
+            "negative control"
+        );
         let whole = "x".repeat(299);
         assert_eq!(brief(&whole), whole, "negative control");
     }

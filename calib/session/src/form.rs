@@ -10,7 +10,7 @@ use csv::StringRecord;
 /// Lines of text, of units and the like, that may stand between a header and its rows.
 const BELOW: usize = 8;
 /// Lines among which the header is looked for.
-const LOOK: usize = 2000;
+pub(crate) const LOOK: usize = 2000;
 /// First line of a LabVIEW measurement file (.lvm), and the line that ends each of its headers.
 const LVM: [&str; 2] = ["LabVIEW Measurement", "***End_of_Header***"];
 

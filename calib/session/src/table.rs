@@ -4,7 +4,7 @@
 use crate::cell::{Content, content, direction, grouped, is_missing, name_of, plain};
 use crate::columns::column_range;
 use crate::error::{InputError, SessionError, listed, not_utf8, quote};
-use crate::form::{Form, Place, Preamble};
+use crate::form::{Form, LOOK, Place, Preamble};
 use crate::separated::{Separator, other_separator, records};
 use crate::units::split_unit;
 use crate::warning::{SessionWarning, WarningKind};
@@ -118,6 +118,10 @@ pub(crate) fn read_own(path: &Path, name: &str) -> Result<TextTable, SessionErro
     Ok(TextTable { sha256: sha256_hex(&bytes), ..table })
 }
 
+fn too_wide(file: &str, columns: usize) -> InputError {
+    InputError::new(file, format!("at most {MAX_COLUMNS} columns"), columns.to_string())
+}
+
 fn parse(file: &str, text: &str, layout: &TextTableLayout) -> Result<TextTable, InputError> {
     let skipped = layout.skip_lines;
     let foreign = layout.asked.is_some();
@@ -128,6 +132,13 @@ fn parse(file: &str, text: &str, layout: &TextTableLayout) -> Result<TextTable, 
     if let Some((k, line)) = text.lines().enumerate().find(|(_, line)| line.len() > MAX_LINE) {
         let expected = format!("at most {MAX_LINE} bytes in a line");
         return Err(error(expected, line.len().to_string()).at(skipped + k + 1));
+    }
+    // Before any line is split, which takes many times its bytes.
+    let marks =
+        |line: &str| [',', ';', '\t'].map(|mark| line.matches(mark).count()).into_iter().max().unwrap_or(0);
+    let mut widths = text.lines().take(LOOK).map(marks).enumerate();
+    if let Some((k, count)) = widths.find(|(_, count)| *count >= MAX_COLUMNS) {
+        return Err(too_wide(file, count + 1).at(skipped + k + 1));
     }
     if let (None, None, Some(asked)) = (layout.separator, &layout.columns, layout.asked.as_deref()) {
         preamble.find_separator(text, asked, layout.decimal_comma);
@@ -140,7 +151,7 @@ fn parse(file: &str, text: &str, layout: &TextTableLayout) -> Result<TextTable, 
     };
     let Form { columns, units, mut rows, remarks, warnings } = form;
     if columns.len() > MAX_COLUMNS {
-        return Err(error(format!("at most {MAX_COLUMNS} columns"), columns.len().to_string()));
+        return Err(too_wide(file, columns.len()));
     }
     let hint = other_separator(text, separator);
     for (line, cells) in &mut rows {

@@ -2,6 +2,7 @@
 
 use serde::{Serialize, Serializer};
 use std::fmt;
+use wcal_core::text::printable;
 
 /// A warning about a file of the session.
 #[derive(Debug, Clone, PartialEq)]
@@ -92,7 +93,7 @@ impl Serialize for SessionWarning {
 impl fmt::Display for SessionWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let head = if self.is_clock_problem() { "clock_problem: " } else { "" };
-        write!(f, "{head}{}: {}", self.file, self.text)?;
+        write!(f, "{head}{}", printable(&format!("{}: {}", self.file, self.text)))?;
         match &self.lines[..] {
             [] => Ok(()),
             lines => write!(f, ": line(s) {}", named(lines)),

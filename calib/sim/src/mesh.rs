@@ -139,7 +139,12 @@ impl Mesh {
         if metres {
             points.iter_mut().for_each(|p| *p *= 1e3);
         }
-        let mut mesh = Self::new(&name, &points, &triangles)?;
+        let mut mesh = Self::new(&name, &points, &triangles).map_err(|e| match e {
+            SimError::Mesh { expected, found, .. } => {
+                SimError::Mesh { object: path.display().to_string(), expected, found }
+            }
+            other => other,
+        })?;
         mesh.notes.extend(notes);
         if metres {
             let note = format!(

@@ -5,6 +5,7 @@ use flate2::read::GzDecoder;
 use ply_rs_bw::parser::Parser;
 use ply_rs_bw::ply::{Property, PropertyAccess, PropertyAccessResult};
 use std::io::Read;
+use wcal_core::text::brief;
 
 /// Corners and triangles of a file's bytes; faces of more corners are fans of triangles.
 ///
@@ -51,8 +52,9 @@ fn obj(mut bytes: &[u8]) -> Result<Stl, String> {
     let options = tobj::LoadOptions { triangulate: true, ..tobj::LoadOptions::default() };
     // Colours and pictures on the surface are no part of its shape.
     let no_materials = |_: &std::path::Path| Ok(Default::default());
-    let (models, _) = tobj::load_obj_buf(&mut bytes, &options, no_materials)
-        .map_err(|e| format!("expected an OBJ file of corners (v) and faces (f), found: {e}"))?;
+    let (models, _) = tobj::load_obj_buf(&mut bytes, &options, no_materials).map_err(|e| {
+        format!("expected an OBJ file of corners (v) and faces (f), found: {}", brief(&e.to_string()))
+    })?;
     let meshes = models.iter().map(|model| &model.mesh);
     faces(meshes.flat_map(|mesh| {
         let corner = |k: &u32| mesh.positions.get(3 * *k as usize..)?.first_chunk().copied();
@@ -93,7 +95,9 @@ impl PropertyAccess for Element {
 
 fn ply(mut bytes: &[u8]) -> Result<Stl, String> {
     let read = Parser::<Element>::new().read_ply(&mut bytes);
-    let file = read.map_err(|e| format!("expected a PLY file of float corners and int faces, found: {e}"))?;
+    let file = read.map_err(|e| {
+        format!("expected a PLY file of float corners and int faces, found: {}", brief(&e.to_string()))
+    })?;
     let of = |name: &str| file.payload.get(name).map_or(&[][..], Vec::as_slice);
     let places = of("vertex");
     let corner = |k: &u32| places.get(*k as usize).map(|v| v.place);

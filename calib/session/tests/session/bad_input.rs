@@ -303,3 +303,23 @@ fn a_later_session_has_its_own_series_and_times() {
     let sealed = joined(&format!("{first}4,holdout,1,2,4,130\n"));
     assert_eq!(sealed[3..], [(5, 160.0), (5, 170.0), (6, 180.0)]);
 }
+
+#[test]
+fn a_table_of_too_many_columns_is_refused_at_its_header() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("wide.csv");
+    let read = |columns: usize, asked: Option<Vec<String>>| {
+        let line = |cell: &dyn Fn(usize) -> String| (0..columns).map(cell).collect::<Vec<_>>().join(";");
+        // The rows are damaged: were they split first, that would be said.
+        fs::write(&path, format!("{}\n{}\n1;2\n", line(&|k| format!("c{k}")), line(&|k| k.to_string())))
+            .unwrap();
+        let layout = wcal_session::TextTableLayout { asked, ..Default::default() };
+        wcal_session::read_text_table(&path, &layout)
+            .map_or_else(|error| error.to_string(), |_| String::new())
+    };
+    for asked in [None, Some(vec!["c1".to_owned()])] {
+        let error = read(20_005, asked.clone());
+        assert!(error.contains("line 1") && error.contains("at most 1000 columns, found 20005"), "{error}");
+        assert!(!read(1000, asked).contains("at most 1000"), "negative control");
+    }
+}

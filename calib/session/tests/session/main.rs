@@ -25,5 +25,6 @@ fn opened<R: Clone>(sealed: Sealed<R>) -> Vec<R> {
 mod bad_input;
 mod broken;
 mod fixtures;
+mod looks;
 mod shapes;
 mod writing;

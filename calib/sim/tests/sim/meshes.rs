@@ -133,3 +133,18 @@ fn bodies_that_overlap_are_one_body() {
         doubtful.notes
     );
 }
+
+#[test]
+fn a_mesh_that_is_refused_names_its_path() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, text) in [
+        ("bad.stl", "solid x\nendsolid x\n"),
+        ("bad.obj", "v 0 0 0\nf 1 2 3\n"),
+        ("bad.ply", "ply\nformat ascii 1.0\nend_header\n"),
+    ] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        let error = Mesh::read(&path).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains(&path.display().to_string()), "{error}");
+    }
+}

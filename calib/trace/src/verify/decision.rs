@@ -12,9 +12,12 @@ use crate::error::TraceError;
 use crate::levels::ABOVE_FLOOR;
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::covariance;
+use crate::method::noise::tails::Tails;
+use crate::method::noise::{Noise, SpreadModel};
 use serde_json::{Value, json};
 use wcal_core::Decide;
-use wcal_core::verify_document::EffectAblation;
+use wcal_core::text::number;
+use wcal_core::verify_document::{EffectAblation, EffectParameter, NoisePart};
 
 /// What was decided on the open readings. Its parts can be read, not changed.
 pub struct Decision<M: SessionModel> {
@@ -88,12 +91,34 @@ pub fn decide<M: SessionModel>(
 /// Steps of a number within its standard error: closer numbers are the same decision.
 const STEPS: f64 = 100.0;
 /// Significant digits of a number that states no error.
-const DIGITS: f64 = 1e4;
+const DIGITS: usize = 4;
 
 /// `value` in steps of a hundredth of its standard error.
 fn round_to_error(value: f64, sd: f64) -> Value {
-    let step = if sd > 0.0 && sd.is_finite() { sd / STEPS } else { value.abs() / DIGITS };
-    if step > 0.0 { json!((value / step).round()) } else { json!(0.0) }
+    let stated = sd > 0.0 && sd.is_finite();
+    if stated { json!((value * STEPS / sd).round()) } else { json!(number(value, DIGITS)) }
+}
+
+/// The noise that sealed readings are judged by. Every part is named: one that is added to [`Noise`] must be added here.
+fn of_noise(noise: &Noise) -> Value {
+    let Noise { weights: _, repeat, pose, correlated, law, common, tails, step } = noise;
+    let rounded = |value: f64, [low, high]: [f64; 2]| round_to_error(value, (high - low) / 4.0);
+    let part = |e: &NoisePart| [e.value, e.interval95[1]].map(|value| rounded(value, e.interval95));
+    // What states no error is known to a hundredth at best.
+    let coarse = |value: f64| round_to_error(value.ln(), 1.0);
+    json!({
+        "repeat": part(repeat),
+        "pose": pose.as_ref().map(part),
+        "correlated": correlated.as_ref().map(|(e, tau)| json!([part(e), coarse(*tau)])),
+        "law": law.as_ref().map(|SpreadModel { follows, spread, typical }| {
+            json!([follows, rounded(spread.exponent, spread.interval95), round_to_error(*typical, 0.0)])
+        }),
+        "common": round_to_error(*common, 0.0),
+        "tails": tails.as_ref().map(|Tails { dof, heaviest, lightest, scale, heaviest_scale, heavy, by_one }| {
+            json!([dof, heaviest, lightest, coarse(*scale), coarse(*heaviest_scale), heavy, by_one])
+        }),
+        "step": step.iter().map(|step| step.map(|step| round_to_error(step, 0.0))).collect::<Vec<_>>(),
+    })
 }
 
 impl<M: SessionModel> Decision<M> {
@@ -122,15 +147,85 @@ impl<M: SessionModel> Decision<M> {
 
 impl<M: SessionModel> Decide for Decision<M> {
     fn content(&self) -> Value {
-        let repeat = self.of.noise.repeat;
+        let spread = self.of.model.noise_effect().map(|named| {
+            let sd = |p: &EffectParameter| (p.interval95[1] - p.interval95[0]) / 4.0;
+            let values = named.parameters.iter().map(|p| round_to_error(p.value, sd(p)));
+            json!([named.laws, values.collect::<Vec<_>>()])
+        });
         json!({
             "kind": self.of.model.kind(),
             "verdict": self.conclusion.verdict,
             "declared": self.of_hypothesis(&self.of.explained.found.base),
             "accepted": self.of_hypothesis(&self.conclusion.accepted),
-            "noise": round_to_error(repeat.value, (repeat.interval95[1] - repeat.interval95[0]) / 4.0),
+            "noise": of_noise(&self.of.noise),
+            "spread": spread,
+            "floor": json!([round_to_error(self.floor.sd, 0.0), self.floor.dof.map(f64::round)]),
             "quantities": self.of.model.quantities().iter().map(|q| q.key).collect::<Vec<_>>(),
             "claims": self.claims,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::method::noise::spread::{Spread, SpreadLaw};
+
+    #[test]
+    fn whatever_part_of_the_noise_changes_the_decision_changes() {
+        let part = |value: f64| NoisePart { value, interval95: [0.8 * value, 1.2 * value] };
+        let tails = Tails {
+            dof: 5.0,
+            heaviest: 4.0,
+            lightest: f64::INFINITY,
+            scale: 1.0,
+            heaviest_scale: 0.9,
+            heavy: false,
+            by_one: false,
+        };
+        let law = |exponent: f64| SpreadModel {
+            follows: "t_s".to_owned(),
+            spread: Spread {
+                p_value: 0.001,
+                correlation: 0.5,
+                law: SpreadLaw::Exponential,
+                exponent,
+                interval95: [exponent - 0.2, exponent + 0.2],
+                relative_sd: Vec::new(),
+            },
+            typical: 2.0,
+        };
+        let whole = Noise {
+            repeat: part(1.0),
+            pose: Some(part(0.5)),
+            correlated: Some((part(0.7), 60.0)),
+            law: Some(law(0.5)),
+            common: 0.25,
+            tails: Some(tails),
+            step: vec![Some(0.01), None],
+            ..Noise::none(4)
+        };
+        let changes: [fn(&mut Noise); 10] = [
+            |n| n.repeat.value = 1.1,
+            |n| n.repeat.interval95[1] = 1.5,
+            |n| n.pose = None,
+            |n| n.correlated = None,
+            |n| n.correlated.as_mut().unwrap().1 = 90.0,
+            |n| n.law.as_mut().unwrap().spread.exponent = 0.7,
+            |n| n.common = 0.5,
+            |n| n.tails.as_mut().unwrap().heaviest = 3.0,
+            |n| n.tails.as_mut().unwrap().heavy = true,
+            |n| n.step[0] = Some(0.1),
+        ];
+        for (k, change) in changes.into_iter().enumerate() {
+            let mut other = whole.clone();
+            change(&mut other);
+            assert_ne!(of_noise(&whole), of_noise(&other), "{k}");
+        }
+        // Negative control: the same outcome on another machine.
+        let mut same = whole.clone();
+        same.repeat.value += 1e-9;
+        same.correlated.as_mut().unwrap().1 += 1e-7;
+        assert_eq!(of_noise(&whole), of_noise(&same));
     }
 }

@@ -17,6 +17,9 @@ use wcal_core::ranges::{self, Range};
 pub const STEREO_FORMAT: &str = "wcal-stereo/1";
 
 /// Numbers that cameras may have, whichever program calibrated them; a picture has 16 px at least, and a lens of 1 px focal length sees all.
+/// No parameter of a camera is less certain than by 10,000 px, rad or mm.
+const LARGEST_VARIANCE: f64 = 1e8;
+
 const RANGES: &[Range] = &[
     Range::whole("image_size_px", 16.0, 65_536.0),
     Range::real("K", -1e6, 1e6),
@@ -220,6 +223,13 @@ impl StereoDocument {
         if !self.covariance.is_empty() {
             let n = stereo.parameters();
             covariance::check(&self.covariance, n).map_err(|why| format!("covariance: {why}"))?;
+            if let Some((k, variance)) =
+                (0..n).map(|k| (k, self.covariance[k][k])).find(|(_, v)| *v > LARGEST_VARIANCE)
+            {
+                let expected =
+                    format!("variances of at most {LARGEST_VARIANCE:e} (px, rad or mm, squared) expected");
+                return Err(format!("covariance: {expected}, {variance:e} found in row {}", k + 1));
+            }
             stereo.covariance = Some(DMatrix::from_fn(n, n, |i, j| self.covariance[i][j]));
         }
         let negative =

@@ -2,7 +2,7 @@
 
 use crate::calibrate::board::{Board, Pattern};
 use crate::calibrate::document::{BoardDocument, STEREO_FORMAT, StereoDocument, camera_document};
-use crate::calibrate::markers::{BoardLayout, renumbered};
+use crate::calibrate::markers::{BoardLayout, other_board, renumbered};
 use crate::calibrate::solution::{StereoSolution, leave_one_out};
 use crate::calibrate::statements::calibrate_as_stated;
 use crate::calibrate::views::{BoardPairs, board_pairs, with_rejections};
@@ -27,6 +27,9 @@ pub fn calibrate_folders(
     let files = pair_files(&list_pictures(left)?, &list_pictures(right)?)?;
     progress(&format!("{} pairs", files.len()));
     let left: Vec<&Path> = files.iter().filter_map(|f| f.left.as_deref()).collect();
+    if let Some(seen) = other_board(board, &left) {
+        return Err(VisionError::result("find the board", format!("a board of {}", board.size), seen));
+    }
     let (board, said) = match renumbered(board, &left) {
         Some(Ok((board, said))) => (board, Some(said)),
         Some(Err(said)) => (board.clone(), Some(said)),

@@ -317,6 +317,51 @@ fn board_tags(picture: &Picture, family: &str, wanted: usize) -> Result<Vec<Tag>
     Ok(best)
 }
 
+/// Another board than the stated one that a few pictures from all over the set show, in words: of other tags, or with one row or column more or less.
+pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
+    const LOOK: usize = 2;
+    let some = pictures.iter().step_by(pictures.len().div_ceil(LOOK).max(1));
+    let some: Vec<Picture> = some.filter_map(|path| Picture::read(path).ok()).collect();
+    // Shown by most of them, or by one alone where there is no other.
+    let shown = |of: &dyn Fn(&Picture) -> bool| some.iter().filter(|picture| of(picture)).count().min(2);
+    let enough = some.len().clamp(1, 2);
+    match &board.pattern {
+        Pattern::Charuco { .. } => None,
+        Pattern::AprilGrid { family, .. } => {
+            let tags = board.size.columns * board.size.rows;
+            let count = |p: &Picture, kind: &str| board_tags(p, kind, tags).map_or(0, |tags| tags.len());
+            if shown(&|p| count(p, family) > 0) > 0 {
+                return None;
+            }
+            let others = FAMILIES.iter().filter(|kind| *kind != family && !kind.ends_with(WIDE_BORDER));
+            // Small tags are seen by chance here and there, half a board of them is not.
+            let seen = others.into_iter().find(|kind| shown(&|p| 2 * count(p, kind) > tags) >= enough)?;
+            Some(format!("tags of {seen}, none of {family} (--dictionary {seen})"))
+        }
+        Pattern::Chessboard => {
+            let BoardSize { columns, rows } = board.size;
+            let whole = |p: &Picture, size| {
+                let found = find_chessboard(p, size, Finder::Classic).ok().flatten();
+                found.is_some_and(|points| continues_beyond(p, size, &points).is_none())
+            };
+            if shown(&|p| whole(p, board.size)) > 0 {
+                return None;
+            }
+            // Squares counted for their corners, then each side by itself.
+            let sizes =
+                [(-1, -1), (1, 1), (-1, 0), (0, -1), (1, 0), (0, 1)].into_iter().filter_map(|(c, r)| {
+                    let size = BoardSize {
+                        columns: columns.checked_add_signed(c)?,
+                        rows: rows.checked_add_signed(r)?,
+                    };
+                    (size.columns.min(size.rows) > 1).then_some(size)
+                });
+            let seen = sizes.into_iter().find(|size| shown(&|p| whole(p, *size)) >= enough)?;
+            Some(format!("{seen} inner corners (--board {seen})"))
+        }
+    }
+}
+
 /// The board with the first tag that its pictures show, where that is another than stated, and what is to be said of it; in words where they do not
 /// tell it.
 pub(crate) fn renumbered(board: &Board, pictures: &[&Path]) -> Option<Result<(Board, String), String>> {

@@ -43,9 +43,9 @@ pub(super) fn refusal(
     }
     clock_fault(points.iter().map(|r| r.t_s))
         .or_else(|| {
-            sealed.refusal(rows, |sealed, rows| {
-                let timed = |r: &ScalarRow| Some(vec![r.t_s?, r.x, r.y]);
-                sealed_in_fit(rows.iter().map(timed), sealed.iter().map(timed))
+            sealed.refusal(points, |sealed, points| {
+                let read = |r: &ScalarRow| (r.t_s, [r.x, r.y]);
+                sealed_in_fit(points.iter().map(read), sealed.iter().map(read))
             })
         })
         .or_else(|| constant_response(rows, declared))

@@ -3,7 +3,7 @@
 use crate::error::{InputError, SessionError};
 use crate::foreign::as_imported;
 use crate::session::{LoadedSession, check_covariates, load};
-use crate::table::read_own;
+use crate::table::read_readings;
 use crate::warning::SessionWarning;
 use crate::whisker::{self, ColumnRequirement, WHISKER_COLUMNS};
 use crate::{axis, transducer, whisker_checks};
@@ -166,7 +166,7 @@ fn attach_table(session: &mut LoadedSession, path: &Path) -> Result<(), SessionE
             warnings.extend(said.map(|text| SessionWarning::other(&name, text)));
             table
         }
-        None => read_own(path, &name)?,
+        None => read_readings(path, &name)?,
     };
     let input = match (&mut session.data, &mut session.sealed) {
         (

@@ -3,7 +3,7 @@
 use crate::document::{parse, sections};
 use crate::error::{InputError, SessionError, quote};
 use crate::shapes::Expected;
-use crate::table::read_own;
+use crate::table::read_readings;
 use crate::transducer::{self, TransducerSection};
 use crate::warning::SessionWarning;
 use crate::whisker::{self, ColumnRequirement};
@@ -270,7 +270,7 @@ fn load_whisker(
     let length_mm = whisker_checks::length_mm(&whisker.rest_shape);
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
         let path = folder.join(name);
-        let table = read_own(&path, name)?;
+        let table = read_readings(&path, name)?;
         let table = whisker::read_rows(&table, &mut fbg, &trajectories, ColumnRequirement::Session)?;
         // A factor of 1000 is named as such before it is called out of reach.
         whisker_checks::check_stage(&table.rows, &trajectories, warnings)?;
@@ -329,13 +329,13 @@ fn load_transducer(
             return Err(InputError::new(NAME, "a unit, e.g. \"N\"", "an empty text").field(field).into());
         }
     }
-    let table = read_own(&folder.join(&files.points), &files.points)?;
+    let table = read_readings(&folder.join(&files.points), &files.points)?;
     let table = transducer::read_rows(&table, Purpose::Fit, warnings)?;
     inputs.push(table.input);
     let (mut rows, covariates) = (table.rows, table.covariates);
     let mut holdout = seal(&mut rows, |r| r.role);
     if let Some(name) = &files.holdout {
-        let table = read_own(&folder.join(name), name)?;
+        let table = read_readings(&folder.join(name), name)?;
         let sealed = transducer::read_rows(&table, Purpose::Holdout, warnings)?;
         check_covariates(name, &covariates, &sealed.covariates)?;
         inputs.push(sealed.input);
@@ -366,7 +366,7 @@ fn load_axis(
     warnings: &mut Vec<SessionWarning>,
 ) -> Result<(AxisData, Sealed<AxisRow>), SessionError> {
     let mut read = |name: &str, purpose: Purpose| -> Result<Vec<_>, SessionError> {
-        let (rows, input) = axis::read_rows(&read_own(&folder.join(name), name)?, purpose, warnings)?;
+        let (rows, input) = axis::read_rows(&read_readings(&folder.join(name), name)?, purpose, warnings)?;
         inputs.push(input);
         Ok(rows)
     };

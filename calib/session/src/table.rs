@@ -122,6 +122,20 @@ fn too_wide(file: &str, columns: usize) -> InputError {
     InputError::new(file, format!("at most {MAX_COLUMNS} columns"), columns.to_string())
 }
 
+/// As [`read_own`], of a session's readings: where their numbers follow their times, in that order, whatever order the lines have.
+///
+/// # Errors
+/// As [`read_own`].
+pub(crate) fn read_readings(path: &Path, name: &str) -> Result<TextTable, SessionError> {
+    let table = read_own(path, name)?;
+    let (Some(point), Some(t_s)) = (table.place("point"), table.place("t_s")) else { return Ok(table) };
+    let mut rows = table.rows.clone();
+    rows.sort_by_cached_key(|(_, cells)| cells[point].parse::<i64>().ok());
+    let time = |row: &(usize, StringRecord)| row.1[t_s].parse::<f64>().ok();
+    let in_time = rows.iter().all(|r| time(r).is_some()) && rows.is_sorted_by_key(time);
+    Ok(if in_time { TextTable { rows, ..table } } else { table })
+}
+
 fn parse(file: &str, text: &str, layout: &TextTableLayout) -> Result<TextTable, InputError> {
     let skipped = layout.skip_lines;
     let foreign = layout.asked.is_some();

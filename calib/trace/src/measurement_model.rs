@@ -13,6 +13,17 @@ use crate::method::noise::{NoiseInputs, Weights};
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 
+/// `values` as they are; none where one is not finite, which ends the candidate whose design needs them.
+pub(crate) fn finite<V: AsRef<[f64]>>(values: V) -> Option<V> {
+    values.as_ref().iter().all(|v| v.is_finite()).then_some(values)
+}
+
+/// Design of `columns`, one value a reading each; none where one is not finite.
+pub(crate) fn design_of(columns: &[Vec<f64>]) -> Option<DMatrix<f64>> {
+    columns.iter().try_for_each(|c| finite(c).map(|_| ()))?;
+    Some(DMatrix::from_fn(columns.first()?.len(), columns.len(), |i, j| columns[j][i]))
+}
+
 /// A session seen through a declared model and a catalogue: what the loop works on.
 ///
 /// The prediction is `design(terms) * B` with free coefficients B, one column a channel.

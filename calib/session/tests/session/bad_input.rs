@@ -3,7 +3,7 @@
 use crate::broken::{Base, TABLE, WHISKER_POINTS};
 use std::fs;
 use std::path::Path;
-use wcal_core::{Role, SessionData, WhiskerData};
+use wcal_core::{Role, SessionData, WhiskerData, WhiskerRow};
 use wcal_session::{LoadedSession, add_session, attach_holdout, examine, load, load_table};
 
 #[test]
@@ -91,6 +91,23 @@ fn values_are_in_the_units_of_their_names() {
     assert_eq!(data(&session).rows[0].trajectory, None);
     let hash = wcal_core::provenance::sha256_hex(WHISKER_POINTS.as_bytes());
     assert!(session.inputs.iter().any(|i| i.path == "points.csv" && i.sha256 == hash));
+}
+
+/// Readings are in the order of their times, whatever the order of the lines; a clock that runs back while the numbers rise is none of that.
+#[test]
+fn the_order_of_the_lines_changes_nothing() {
+    let reversed = |points: &str| {
+        let (head, rows) = points.split_once('\n').unwrap();
+        rows.lines().rev().fold(format!("{head}\n"), |table, row| format!("{table}{row}\n"))
+    };
+    let in_order = |session: &LoadedSession| {
+        let rows = data(session).rows.iter().map(|r| WhiskerRow { line: 0, ..r.clone() });
+        (rows.collect::<Vec<_>>(), data(session).fbg.clone(), session.warnings.len())
+    };
+    let (_kept, plain) = whisker_with(str::to_owned);
+    let (_folder, other) = whisker_with(reversed);
+    assert!(data(&other).rows.iter().any(|r| r.line != data(&plain).rows[r.point as usize].line));
+    assert_eq!(in_order(&plain), in_order(&other));
 }
 
 #[test]

@@ -65,6 +65,13 @@ impl Basis {
         DVector::from_iterator(self.rank(), self.vectors.iter().map(|q| q.dot(v)))
     }
 
+    /// Standard deviation that a fit of the basis leaves of value `k`, beside 1 before it: sqrt(1 - h_kk), h the hat matrix; floored where a value
+    /// determines itself.
+    pub fn unexplained_sd(&self, k: usize) -> f64 {
+        let leverage: f64 = self.vectors.iter().map(|q| q[k] * q[k]).sum();
+        (1.0 - leverage).max(0.05).sqrt()
+    }
+
     /// The basis vectors.
     pub fn vectors(&self) -> &[DVector<f64>] {
         &self.vectors
@@ -88,6 +95,9 @@ pub struct JointSpan {
 /// A direction of unit length is new where this part of its square is left: its own rounding is a thousandth of that.
 const NEW_SQUARE: f64 = 1e-10;
 
+/// Relative difference up to which two pivots are one.
+const SAME_PIVOT: f64 = 1e-6;
+
 impl JointSpan {
     /// Span of directions of unit length, up to `limit` of them independent.
     pub fn of<'a>(directions: impl Iterator<Item = &'a DVector<f64>>, limit: usize) -> Self {
@@ -107,7 +117,10 @@ impl JointSpan {
             if diagonal.is_empty() {
                 break;
             }
-            let (k, pivot) = diagonal.argmax();
+            // Of pivots that only rounding tells apart the first: what is drawn along them must not depend on rounding.
+            let near = (1.0 - SAME_PIVOT) * diagonal.max();
+            let Some(k) = diagonal.iter().position(|left| *left >= near) else { break };
+            let pivot = diagonal[k];
             if !(pivot > NEW_SQUARE) {
                 break;
             }

@@ -30,8 +30,7 @@ pub fn studentised_residuals(fit: &Fit, weights: &Weights) -> DMatrix<f64> {
     let basis = nuisance_basis(fit);
     DMatrix::from_fn(n, channels, |i, c| {
         if weights.counts(i) {
-            let leverage: f64 = basis.vectors().iter().map(|q| q[c * n + i] * q[c * n + i]).sum();
-            fit.residual[(i, c)] / (s * (1.0 - leverage).max(0.05).sqrt())
+            fit.residual[(i, c)] / (s * basis.unexplained_sd(c * n + i))
         } else {
             fit.raw_residual[(i, c)] / (s * weights.total_sd(i))
         }

@@ -15,7 +15,7 @@ use super::left_out::{Errors, SharedNoise, noise_ratio};
 use super::refutation::error_rise_test;
 use super::session_model::{HeldOut, Quantity, Record, SessionModel};
 use crate::error::TraceError;
-use crate::levels::{ABOVE_FLOOR, HOLDOUT, RIVAL, SINGLE_READINGS, z};
+use crate::levels::{HOLDOUT, RIVAL, SEALED_ABOVE_FLOOR, SEALED_SINGLE_READINGS, z};
 use crate::method::distributions::f_tail;
 use crate::method::fit::{Weights, fit};
 use crate::method::hypothesis::Hypothesis;
@@ -122,7 +122,7 @@ fn judgement<M: SessionModel>(
     // The error without readings that are set aside, against what repeats differ by.
     let trimmed = errors.trimmed.as_ref().map_or(errors.after.clone(), |[_, after]| after.clone());
     let trimmed = Errors { after: trimmed, ..errors.clone() };
-    let far = far_above_floor(whole, accepted, &trimmed, &decision.floor, look.level(ABOVE_FLOOR));
+    let far = far_above_floor(whole, accepted, &trimmed, &decision.floor, look.level(SEALED_ABOVE_FLOOR));
     let sd: Vec<f64> = noise.reading_sd(&whole.noise_inputs());
     let sd: Vec<f64> = scored_rows(whole, flagged).iter().map(|&i| sd[i] * whole.noise_factor()).collect();
     let of = |p: &M::Predictions| scored(whole, p, flagged);
@@ -197,7 +197,7 @@ fn holdout_outliers<M: SessionModel>(whole: &M, models: [&Hypothesis; 2], noise:
     let sd = noise.reading_sd(&whole.noise_inputs());
     let heavy = noise.tails.filter(|t| t.heaviest.is_finite());
     let tail = |x: f64| heavy.map_or_else(|| 2.0 * Normal::standard().sf(x), |t| t.two_sided(x));
-    let level = SINGLE_READINGS / (whole.measured().ncols() * rows.len().max(1)) as f64;
+    let level = SEALED_SINGLE_READINGS / (whole.measured().ncols() * rows.len().max(1)) as f64;
     let beyond = |i: &usize| left.iter().all(|r| tail(r.row(*i).amax() / sd[*i]) < level);
     let out: Vec<usize> = rows.iter().copied().filter(beyond).collect();
     if out.len() as f64 > MAX_SHARE * rows.len() as f64 { Vec::new() } else { out }

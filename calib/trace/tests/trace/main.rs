@@ -54,7 +54,9 @@ fn names(v: &ScalarVerification) -> Vec<&str> {
     v.document.effects.iter().map(|e| e.id.as_str()).collect()
 }
 
+mod designs;
 mod engine_stages;
+mod invariance;
 mod reference_noise;
 mod scalar_bends;
 mod scalar_cells;

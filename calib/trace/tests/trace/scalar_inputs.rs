@@ -14,8 +14,18 @@ use wcal_trace::verify::VerifyRequest;
 type Reading = (f64, f64, Option<u32>, Vec<f64>, Option<f64>);
 
 fn run(model: TransducerModel, columns: &[&str], readings: Vec<Reading>) -> ScalarVerification {
+    stating(model, columns, readings, &|_| None)
+}
+
+/// With the standard deviation that the table states of a reading's stimulus, by its number.
+fn stating(
+    model: TransducerModel,
+    columns: &[&str],
+    readings: Vec<Reading>,
+    stated: &dyn Fn(usize) -> Option<f64>,
+) -> ScalarVerification {
     let row = |(k, (stimulus, response, replicate, covariates, t_s)): (usize, Reading)| TransducerRow {
-        stimulus_sd: None,
+        stimulus_sd: stated(k),
         source: "simulated".into(),
         line: k + 2,
         point: k as i64 + 1,
@@ -240,22 +250,27 @@ fn noise_that_may_be_none_is_a_caution() {
 /// Readings tell between which of them the zero stepped, and no more.
 #[test]
 fn the_place_of_a_step_is_known_to_the_readings_beside_it() {
-    let found = |seed: u64| {
-        let mut n = noise(seed);
-        let row = |k: usize| {
-            let (x, t_s) = ((k % 6) as f64, 45.0 * k as f64);
-            let zero = if t_s > 920.0 { 0.04 } else { 0.0 };
-            (x, 0.2 * x + zero + 0.004 * n(), None, Vec::new(), Some(t_s))
+    // Noise of every third reading beside that of the others, as the table states it.
+    for coarse in [1.0, 40.0] {
+        let found = |seed: u64| {
+            let mut n = noise(seed);
+            let sd = |k: usize| if k % 3 == 1 { 0.004 * coarse } else { 0.004 };
+            let row = |k: usize| {
+                let (x, t_s) = ((k % 6) as f64, 45.0 * k as f64);
+                let zero = if t_s > 920.0 { 0.04 } else { 0.0 };
+                (x, 0.2 * x + zero + sd(k) * n(), None, Vec::new(), Some(t_s))
+            };
+            let stated = |k: usize| Some(sd(k) / 0.2).filter(|_| coarse > 1.0);
+            stating(TransducerModel::Linear, &[], (0..36).map(row).collect(), &stated)
         };
-        linear((0..36).map(row).collect())
-    };
-    let all: Vec<ScalarVerification> = (0..6).map(found).collect();
-    let steps: Vec<[f64; 2]> =
-        all.iter().filter(|v| names(v) == ["step"]).map(|v| parameter(v, "place").1).collect();
-    println!("{steps:?}");
-    assert!(steps.len() >= 5 && steps.iter().all(|[from, to]| *from <= 920.0 && 920.0 <= *to));
-    // Ten standard deviations: the two readings beside it, and no wider.
-    assert!(steps.iter().all(|[from, to]| (44.0..=46.0).contains(&(to - from))));
+        let all: Vec<ScalarVerification> = (0..6).map(found).collect();
+        let steps: Vec<[f64; 2]> =
+            all.iter().filter(|v| names(v) == ["step"]).map(|v| parameter(v, "place").1).collect();
+        println!("{coarse}: {steps:?}");
+        assert!(steps.len() >= 5 && steps.iter().all(|[from, to]| *from <= 920.0 && 920.0 <= *to));
+        // Ten standard deviations: the two readings beside it (both good ones), and no wider.
+        assert!(steps.iter().all(|[from, to]| (44.0..=46.0).contains(&(to - from))));
+    }
 }
 
 /// A record that begins while the stimulus moves does not say what the stimulus was before; a delay of it is a delay all the same.

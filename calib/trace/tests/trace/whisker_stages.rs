@@ -29,7 +29,7 @@ fn session(name: &str) -> wcal_session::LoadedSession {
     wcal_session::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures").join(name)).unwrap()
 }
 
-fn data(name: &str) -> WhiskerData {
+pub fn data(name: &str) -> WhiskerData {
     match session(name).data {
         SessionData::Whisker(data) => data,
         _ => panic!("{name} is no whisker session"),

@@ -79,7 +79,7 @@ pub fn estimate(
     let weights = every.masked(|i| counted.counts(i));
     let m = restricted_likelihood(model, &weights)?;
     let s = (m.ssr / m.dof).sqrt();
-    let whitened = studentised_residuals(model, &weights, s)?;
+    let whitened = studentised_residuals(model, &weights, s);
     let half = NORMAL_95 / (2.0 * m.dof).sqrt();
     Some(Noise {
         repeat: NoisePart { value: s, interval95: [s * (1.0 - half).max(0.1), s * (1.0 + half)] },

@@ -12,7 +12,7 @@ use crate::levels::SPREAD;
 use wcal_core::order_statistics::median;
 
 /// Permutations of the test of the spread.
-const PERMUTATIONS: usize = 1999;
+const PERMUTATIONS: usize = 3999;
 
 /// How the spread of single readings follows a covariate: `h = exp(b (v - typical))`.
 #[derive(Debug, Clone)]
@@ -49,7 +49,7 @@ pub(super) fn fit_variance_function(
     if inputs.spread.is_empty() {
         return None;
     }
-    let rows = studentised_by_channel(model, weights, 1.0)?;
+    let rows = studentised_by_channel(model, weights, 1.0);
     let channels = model.residual.ncols();
     let mut best: Option<(f64, SpreadModel)> = None;
     for (name, values) in &inputs.spread {
@@ -57,7 +57,7 @@ pub(super) fn fit_variance_function(
         let z: Vec<f64> = rows.iter().flat_map(|(_, z)| z.clone()).collect();
         // The power law needs a stimulus of its own: here the spread is exponential in the covariate.
         let Some(spread) = heteroscedasticity_test(&z, None, &u, PERMUTATIONS, seed) else { continue };
-        if spread.p_value > SPREAD {
+        if spread.p_value > SPREAD / inputs.spread.len() as f64 {
             continue;
         }
         // 1 for a typical loaded reading.

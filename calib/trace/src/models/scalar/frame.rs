@@ -250,8 +250,6 @@ const MAX_PLACES: usize = 100;
 const ONE_WAY: f64 = 0.5;
 /// Stimulus from which on a first reading is a loaded one, in half ranges.
 const LOADED: f64 = 0.1;
-/// A first reading later than this part of the record says nothing of what was before it.
-const SOON: f64 = 0.1;
 impl Frame {
     /// Frame of `rows`, normalised by `scaling`.
     pub fn new(rows: Vec<ScalarRow>, scaling: &Scaling, declared: Declared) -> Self {
@@ -363,12 +361,9 @@ impl Frame {
         of(1.0).intersection(&of(-1.0)).count() >= MIN_EACH_WAY
     }
 
-    /// Durations from when the load was put on to the first reading: from t_s = 0 where that is shortly before. None where the record begins without a load.
-    pub fn loaded_before(&self) -> Option<f64> {
-        let [first, duration] = self.scaling.time?;
-        let waited = Some(first / duration).filter(|waited| (0.0..SOON).contains(waited));
-        let loaded = (self.u.first()? - self.zero_u).abs() > LOADED;
-        loaded.then_some(waited.unwrap_or(0.0))
+    /// The first reading is a loaded one.
+    pub fn begins_loaded(&self) -> bool {
+        self.u.first().is_some_and(|u| (u - self.zero_u).abs() > LOADED)
     }
 
     /// Settings of the stimulus.

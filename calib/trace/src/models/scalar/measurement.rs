@@ -170,7 +170,7 @@ impl SessionModel for ScalarSystem {
         if self.catalogue()[effect].id == ERROR_TABLE {
             return deviations(self, &h.fit);
         }
-        of_effect(self, &h.fit, effect, &self.names)
+        of_effect(self, h, effect, &self.names)
     }
 
     fn refusal(&self, sealed: &Sealed<ScalarRow>) -> Option<String> {

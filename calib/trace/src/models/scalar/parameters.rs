@@ -7,6 +7,7 @@ use crate::effect::{EffectTerm, Values};
 use crate::levels::NORMAL_95;
 use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, linear};
+use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::{covariance, t95};
 use nalgebra::DMatrix;
 use wcal_core::verify_document::EffectParameter;
@@ -79,7 +80,13 @@ fn ordered([a, b]: [f64; 2]) -> [f64; 2] {
 }
 
 /// Parameters of one effect of a fit, in the session's units, with 95 % intervals.
-pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names) -> Vec<EffectParameter> {
+pub fn of_effect(
+    system: &ScalarSystem,
+    h: &Hypothesis,
+    effect: usize,
+    names: &Names,
+) -> Vec<EffectParameter> {
+    let fit = &h.fit;
     let covariance = covariance(fit, fit.variance());
     let q = fit.design.ncols();
     let t = t95(fit.dof);
@@ -114,7 +121,7 @@ pub fn of_effect(system: &ScalarSystem, fit: &Fit, effect: usize, names: &Names)
                 (owner.systematic_sd)(&Values::new(law, term.law, &term.values), &system.frame, p.name);
             let half = (t * covariance[(q + k, q + k)].max(0.0).sqrt()).hypot(NORMAL_95 * unseen);
             // The place of a change has no derivative: readings tell between which of them it lies.
-            let halves = if half > 0.0 && p.unit != "clock" { [half; 2] } else { reach95(system, fit, k) };
+            let halves = if half > 0.0 && p.unit != "clock" { [half; 2] } else { reach95(system, h, k) };
             // What is positive by its nature has no interval below zero.
             let lowest = if p.range[0] >= 0.0 && p.unit != "clock" { 1e-9 * v.abs() } else { f64::MIN };
             push(p.name, p.unit, *v, halves, lowest);
@@ -153,21 +160,18 @@ pub fn zero_scatter(system: &ScalarSystem, fit: &Fit) -> f64 {
 }
 
 /// How far nonlinear value `slot` can move down and up until its sum of squares, with the coefficients that suit it, rises by what a 95 %
-/// interval of the likelihood allows: chi-squared of one degree of freedom. Readings are taken as independent.
-fn reach95(system: &ScalarSystem, fit: &Fit, slot: usize) -> [f64; 2] {
+/// interval of the likelihood allows: chi-squared of one degree of freedom. Readings weigh as in the fit.
+fn reach95(system: &ScalarSystem, Hypothesis { fit, weights, .. }: &Hypothesis, slot: usize) -> [f64; 2] {
     let places =
         fit.terms.iter().enumerate().flat_map(|(t, term)| (0..term.values.len()).map(move |k| (t, k)));
     let Some((t, k)) = places.into_iter().nth(slot) else { return [0.0; 2] };
     let [lo, hi] = system.catalogue()[fit.terms[t].effect].law(fit.terms[t].law).parameters[k].range;
     let value = fit.terms[t].values[k];
-    let counted: Vec<usize> =
-        (0..fit.design.nrows()).filter(|i| fit.design.row(*i).iter().any(|v| *v != 0.0)).collect();
-    let measured = system.measured().select_rows(&counted);
+    let measured = weights.apply(system.measured());
     let ssr = |v: f64| {
         let mut terms = fit.terms.clone();
         terms[t].values[k] = v;
-        let design = system.design(&terms)?.select_rows(&counted);
-        Some(linear(&design, &measured).1.norm_squared())
+        Some(linear(&weights.apply(&system.design(&terms)?), &measured).1.norm_squared())
     };
     let Some(least) = ssr(value) else { return [0.0; 2] };
     // The rounding of sums that are equal.

@@ -20,9 +20,8 @@ fn standardised(system: &ScalarSystem, h: &Hypothesis) -> Vec<f64> {
     let basis = nuisance_basis(&h.fit);
     (0..h.fit.residual.nrows())
         .map(|i| {
-            let leverage: f64 = basis.vectors().iter().map(|q| q[i] * q[i]).sum();
             // What neighbours share is taken out, the law of the spread is not.
-            h.fit.residual[(i, 0)] / law[i].max(1e-300) / (1.0 - leverage).max(0.05).sqrt()
+            h.fit.residual[(i, 0)] / law[i].max(1e-300) / basis.unexplained_sd(i)
         })
         .collect()
 }

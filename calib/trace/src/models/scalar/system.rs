@@ -7,7 +7,7 @@ use super::range_limit::{RangeLimit, read_out};
 use super::row::all;
 use super::scalar_effect::ScalarEffect;
 use crate::effect::{Effect, EffectTerm, LawRequirement, Values};
-use crate::measurement_model::MeasurementModel;
+use crate::measurement_model::{MeasurementModel, design_of, finite};
 use crate::method::hypothesis::{Hypothesis, NotIdentified};
 use crate::method::noise::NoiseInputs;
 use crate::method::noise::spread::{Spread, SpreadLaw};
@@ -195,14 +195,16 @@ impl MeasurementModel for ScalarSystem {
 
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
         let frame = &self.frame;
-        let mut u = frame.u.clone();
+        let mut u = finite(frame.u.clone())?;
         let law = |t: &EffectTerm| self.catalogue[t.effect].law(t.law);
         let active =
             || terms.iter().map(|t| (&self.effects[t.effect], Values::new(law(t), t.law, &t.values)));
         for (effect, values) in active() {
+            finite(values.all())?;
             if !(effect.warp)(&values, frame, &mut u) {
                 return None;
             }
+            finite(&u)?;
         }
         let mut columns: Vec<Vec<f64>> = match frame.declared {
             Declared::Polynomial(degree) => {
@@ -221,8 +223,7 @@ impl MeasurementModel for ScalarSystem {
         for (effect, values) in active() {
             columns.extend((effect.columns)(&values, frame)?);
         }
-        let design = DMatrix::from_fn(frame.rows.len(), columns.len(), |i, j| columns[j][i]);
-        design.iter().all(|v| v.is_finite()).then_some(design)
+        design_of(&columns)
     }
 
     fn catalogue(&self) -> &[Effect] {

@@ -327,7 +327,7 @@ pub(super) fn covariance_root(model: &PhysicalModel) -> (DMatrix<f64>, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::whisker::path::bare_row;
+    use crate::whisker::path::{ReadoutOrigin, bare_row};
     use crate::whisker::physical::AcceptedEffect;
     use wcal_core::observation::{MomentAxes, Trajectory};
     use wcal_core::{FbgSpec, WhiskerRow};
@@ -342,6 +342,7 @@ mod tests {
             correlated_noise: None,
             averaging: None,
             stage_clock_s: 0.0,
+            readout_origin: ReadoutOrigin::default(),
             effects,
             seatings: 1,
             fbg: FbgSpec::default(),

@@ -47,7 +47,7 @@ fn row(template: &WhiskerRow, pose: &NextPose, t_s: f64, system: &WhiskerSystem)
 fn proposals(system: &WhiskerSystem) -> Vec<Proposal> {
     // The later session begins in the surroundings in which this one ended; its temperature is not ours to choose.
     let Some(template) = system.data.rows.iter().rfind(|r| r.role != Role::Rest) else { return Vec::new() };
-    let start = system.path.readings.iter().map(|r| r.t_s).fold(0.0, f64::max) + 30.0;
+    let start = system.path.readings.iter().map(|r| r.t_s).reduce(f64::max).unwrap_or(0.0) + 30.0;
     let mut out = Vec::new();
     for (l, trajectory) in system.data.trajectories.iter().enumerate() {
         let reach = system.path.reach_mm[l];

@@ -2,7 +2,9 @@
 
 use crate::whisker::temperature::RandomWalkModel;
 use nalgebra::Vector3;
-use wcal_core::observation::{FbgSpec, MomentAxes, Role, Trajectory, WhiskerRow};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use wcal_core::observation::{FbgSpec, MomentAxes, Role, Trajectory, WhiskerData, WhiskerRow};
 use wcal_core::order_statistics::median;
 use wcal_rod::Line;
 
@@ -127,6 +129,26 @@ pub(crate) fn positions(nodes: &[Node], xs_mm: &[f64], lines: usize) -> Vec<Vec<
 /// Temperature of a reading, deg C: of its reference grating where there is one, else of its own sensor.
 fn temperature_of(row: &WhiskerRow, fbg: &FbgSpec) -> Option<f64> {
     row.reference_shift_pm.and_then(|shift_pm| fbg.rise_degc(shift_pm)).or(row.temperature_degc)
+}
+
+/// Where the readout's columns of time and temperature are zero: at the means of the session's readings, wherever its clock and its thermometer begin.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+pub struct ReadoutOrigin {
+    /// Time, s.
+    pub t_s: f64,
+    /// Temperature, deg C.
+    pub temperature_degc: f64,
+}
+
+impl ReadoutOrigin {
+    /// That of a session; 0 where a reading lacks the column.
+    pub fn of(data: &WhiskerData) -> Self {
+        let mean = |of: &dyn Fn(&WhiskerRow) -> Option<f64>| {
+            let sum: Option<f64> = data.rows.iter().map(of).sum();
+            sum.unwrap_or(0.0) / data.rows.len().max(1) as f64
+        };
+        Self { t_s: mean(&|r| r.t_s), temperature_degc: mean(&|r| temperature_of(r, &data.fbg)) }
+    }
 }
 
 /// Averages of more different lengths than this ratio have variances of their own.

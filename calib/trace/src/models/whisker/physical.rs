@@ -12,7 +12,7 @@ use crate::method::inference::covariance;
 use crate::method::noise::Noise;
 use crate::scalar::ModelError;
 use crate::scalar::model::square;
-use crate::whisker::path::{Reading, WhiskerPath, typical_samples};
+use crate::whisker::path::{Reading, ReadoutOrigin, WhiskerPath, typical_samples};
 use nalgebra::{DMatrix, Matrix2, Vector2};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -71,6 +71,9 @@ pub struct PhysicalModel {
     /// By how much the session's stage clock was set to agree with the readings', s: its positions are those of so much later.
     #[serde(default)]
     pub stage_clock_s: f64,
+    /// Where the effects' columns of time and temperature are zero; files of before these were stored have them from 0.
+    #[serde(default)]
+    pub readout_origin: ReadoutOrigin,
     /// Accepted effects.
     pub effects: Vec<AcceptedEffect>,
     /// Seatings that the fit saw; each after the first has a zero of its own, and new readings belong to the last.
@@ -138,6 +141,7 @@ impl PhysicalModel {
             correlated_noise: None,
             averaging: None,
             stage_clock_s: system.stage_clock_s(),
+            readout_origin: system.origin,
             effects,
             seatings: system.seatings(),
             fbg: system.data.fbg.clone(),
@@ -291,7 +295,7 @@ impl PhysicalModel {
         path: &WhiskerPath,
         sensed: &[[f64; 2]],
     ) -> Vec<Vec<f64>> {
-        path.readout_columns(self.seatings, terms, sensed)
+        path.readout_columns(self.seatings, terms, &self.readout_origin, sensed)
     }
 
     /// Base moments from the shifts of `path`, in time order. `memory` is what memory effects take from each reading's moment where the
@@ -383,7 +387,7 @@ impl PhysicalModel {
                 *m = (from[i] + steps[i]).into();
                 change = change.max(steps[i].norm());
             }
-            if change < 1e-9 {
+            if change < 1e-12 {
                 break;
             }
         }

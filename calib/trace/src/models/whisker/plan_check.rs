@@ -176,7 +176,7 @@ fn extended(data: &WhiskerData) -> Vec<(String, WhiskerData)> {
         all.dedup();
         all
     };
-    let end_s = data.rows.iter().filter_map(|r| r.t_s).fold(0.0, f64::max);
+    let end_s = data.rows.iter().filter_map(|r| r.t_s).reduce(f64::max).unwrap_or(0.0);
     // Rows made from the deepest pose of each trajectory, a minute apart.
     let with = |changes: &[&dyn Fn(&mut WhiskerRow)]| {
         let mut more = data.clone();

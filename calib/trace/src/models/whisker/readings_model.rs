@@ -6,9 +6,9 @@ use super::stage_clock::CLOCK_SD_S;
 use super::system::{WhiskerSystem, dynamic};
 use super::whisker_effect::{ActiveEffect, Observers};
 use crate::effect::{Effect, EffectTerm, LawRequirement};
-use crate::measurement_model::MeasurementModel;
+use crate::measurement_model::{MeasurementModel, design_of};
 use crate::method::noise::{NoiseInputs, Weights};
-use crate::whisker::path::WhiskerPath;
+use crate::whisker::path::{ReadoutOrigin, WhiskerPath};
 use nalgebra::{DMatrix, DVector};
 use std::sync::Arc;
 use wcal_rod::interpolated_point;
@@ -19,12 +19,13 @@ impl WhiskerPath {
         &self,
         seatings: u32,
         effects: &[ActiveEffect],
+        origin: &ReadoutOrigin,
         sensed: &[[f64; 2]],
     ) -> Vec<Vec<f64>> {
         let moment = |c: usize| sensed.iter().map(|m| m[c]).collect();
         let mut columns = vec![vec![1.0; sensed.len()], moment(0), moment(1)];
         columns.extend(self.seating_columns(seatings));
-        columns.extend(effects.iter().flat_map(|a| (a.effect.columns)(&a.values(), self, sensed)));
+        columns.extend(effects.iter().flat_map(|a| (a.effect.columns)(&a.values(), self, origin, sensed)));
         columns
     }
 }
@@ -102,9 +103,7 @@ impl MeasurementModel for WhiskerSystem {
 
     fn design(&self, terms: &[EffectTerm]) -> Option<DMatrix<f64>> {
         let (sensed, _) = self.moments(terms)?;
-        let columns = self.path.readout_columns(self.seatings, &self.active(terms), &sensed);
-        let design = DMatrix::from_fn(sensed.len(), columns.len(), |i, j| columns[j][i]);
-        design.iter().all(|v| v.is_finite()).then_some(design)
+        design_of(&self.path.readout_columns(self.seatings, &self.active(terms), &self.origin, &sensed))
     }
 
     fn auxiliary_residual(&self, terms: &[EffectTerm], weights: &Weights) -> Option<DVector<f64>> {

@@ -137,7 +137,7 @@ impl MomentStream for PhysicalStream {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::whisker::path::bare_row;
+    use crate::whisker::path::{ReadoutOrigin, bare_row};
     use crate::whisker::physical::{AcceptedEffect, Inferred};
     use wcal_core::MomentAxes;
     use wcal_core::{FbgSpec, WhiskerRow};
@@ -168,6 +168,7 @@ mod tests {
             correlated_noise: None,
             averaging: None,
             stage_clock_s: 0.0,
+            readout_origin: ReadoutOrigin { t_s: 12.0, temperature_degc: 0.0 },
             effects,
             seatings: 1,
             fbg: FbgSpec { temperature_compensated: true, ..FbgSpec::default() },

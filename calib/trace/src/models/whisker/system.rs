@@ -3,9 +3,10 @@
 use super::pictures::Pictures;
 use super::whisker_effect::{ActiveEffect, Observers};
 use crate::effect::{Effect, EffectTerm, LawRequirement};
+use crate::measurement_model::finite;
 use crate::method::fit::Fit;
 use crate::whisker::effects::whisker_catalogue;
-use crate::whisker::path::{Node, WhiskerPath, averaged_readings, temperature_walk};
+use crate::whisker::path::{Node, ReadoutOrigin, WhiskerPath, averaged_readings, temperature_walk};
 use crate::whisker::rod_parameters::RodParameters;
 use crate::whisker::rod_tables::RodTables;
 use crate::whisker::temperature::RandomWalkModel;
@@ -32,6 +33,7 @@ pub struct WhiskerSystem {
     sealed: Vec<bool>,
     scored: Vec<bool>,
     pub(super) seatings: u32,
+    pub(super) origin: ReadoutOrigin,
     walk: Option<RandomWalkModel>,
     pub(super) whitening: Matrix2<f64>,
     pub(super) pictures: Option<Arc<Pictures>>,
@@ -149,6 +151,7 @@ impl WhiskerSystem {
             scored: path.readings.iter().map(|r| r.holdout).collect(),
             rows,
             seatings: data.rows.iter().map(|r| r.seating + 1).max().unwrap_or(1),
+            origin: ReadoutOrigin::of(data),
             data: data.clone(),
             walk,
             path,
@@ -213,10 +216,12 @@ impl WhiskerSystem {
     pub fn moments(&self, terms: &[EffectTerm]) -> Option<(Moments, Moments)> {
         let path = &self.path;
         let active = self.active(terms);
+        terms.iter().try_for_each(|t| finite(&t.values).map(|_| ()))?;
         let (xs, rod_parameters) = self.effective_poses(&active, Observers::Cameras);
-        let base = self.rod_tables.moments(&path.nodes, &xs, &rod_parameters)?;
+        let base = self.rod_tables.moments(&path.nodes, &finite(xs)?, &rod_parameters)?;
         let mut sensed = base.clone();
         for a in &active {
+            finite(sensed.as_flattened())?;
             a.sensor(path, &mut sensed);
         }
         let pick = |all: &[[f64; 2]]| -> Vec<[f64; 2]> {

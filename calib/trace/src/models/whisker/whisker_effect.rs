@@ -1,6 +1,6 @@
 //! Where an effect of the whisker acts: on the pose, the rod, the sensor, the pictures, or as columns of the readout.
 
-use super::path::WhiskerPath;
+use super::path::{ReadoutOrigin, WhiskerPath};
 use super::picture_observations::PairObservation;
 use super::rod_parameters::RodParameters;
 use crate::effect::{Effect, EffectModel, EffectTerm, Values};
@@ -27,7 +27,7 @@ pub enum Observers {
 /// Begins a sensor's memory under the effect's values.
 type BeginMemory = fn(&Values) -> Box<dyn Memory>;
 /// Columns of the readout from the sensed moments of a path's readings.
-type ReadoutColumns = fn(&Values, &WhiskerPath, &[[f64; 2]]) -> Vec<Vec<f64>>;
+type ReadoutColumns = fn(&Values, &WhiskerPath, &ReadoutOrigin, &[[f64; 2]]) -> Vec<Vec<f64>>;
 
 /// An effect with where it acts.
 pub struct WhiskerEffect {
@@ -64,7 +64,7 @@ impl From<Effect> for WhiskerEffect {
             rod: |_, _| {},
             memory: None,
             pictures: |_, _| {},
-            columns: |_, _, _| Vec::new(),
+            columns: |_, _, _, _| Vec::new(),
         }
     }
 }

@@ -46,7 +46,7 @@ pub fn creep() -> ScalarEffect {
         .needing(&[LawRequirement::Time])
         .shape("time_constant", "duration", [0.01, 0.6], &[0.02, 0.05, 0.1, 0.2, 0.4])
         .column("size_at_start", "response");
-    // The test of OIML R 60 begins with the load: put on at t_s = 0, the sensor at rest before.
+    // The test of OIML R 60 begins with the load: put on at the first reading, the sensor at rest before.
     let from_rest = EffectModel { name: "prony-from-rest", ..prony.clone() };
     ScalarEffect {
         warp: |values, frame, u| {
@@ -56,13 +56,10 @@ pub fn creep() -> ScalarEffect {
             let (true, Some(time)) = (frame.sloped(), &frame.time) else { return false };
             let constant = values.of("time_constant");
             let slow = if values.law() == "prony-from-rest" {
-                let Some(waited) = frame.loaded_before() else { return false };
-                relaxed_from(
-                    frame.zero_u + (u[0] - frame.zero_u) * -(-waited / constant).exp_m1(),
-                    u,
-                    time,
-                    constant,
-                )
+                if !frame.begins_loaded() {
+                    return false;
+                }
+                relaxed_from(frame.zero_u, u, time, constant)
             } else {
                 relaxed(u, time, constant)
             };

@@ -12,7 +12,9 @@ pub fn temperature_mismatch() -> WhiskerEffect {
     let linear = law("linear").needing(&[LawRequirement::Temperature]);
     WhiskerEffect {
         // Of the other readings: this one's own noise is in its compensated shifts as well, and would pull the coefficient.
-        columns: |_, path, _| vec![path.readings.iter().map(|r| r.temperature_loo_degc).collect()],
+        columns: |_, path, origin, _| {
+            vec![path.readings.iter().map(|r| r.temperature_loo_degc - origin.temperature_degc).collect()]
+        },
         ..WhiskerEffect::new(
             "temperature-mismatch",
             "Sensing and reference gratings differ in temperature sensitivity: compensation is incomplete.",
@@ -25,7 +27,9 @@ pub fn temperature_mismatch() -> WhiskerEffect {
 pub fn zero_drift() -> WhiskerEffect {
     let linear = law("linear").needing(&[LawRequirement::Time]);
     WhiskerEffect {
-        columns: |_, path, _| vec![path.readings.iter().map(|r| r.t_s / 60.0).collect()],
+        columns: |_, path, origin, _| {
+            vec![path.readings.iter().map(|r| (r.t_s - origin.t_s) / 60.0).collect()]
+        },
         ..WhiskerEffect::new(
             "zero-drift",
             "The zero of the readings drifts with time.",
@@ -41,7 +45,7 @@ pub fn zero_drift() -> WhiskerEffect {
 pub fn rest_zero() -> WhiskerEffect {
     let step = law("step").needing(&[LawRequirement::RestReadings]);
     WhiskerEffect {
-        columns: |_, path, _| vec![path.readings.iter().map(|r| f64::from(u8::from(r.rest))).collect()],
+        columns: |_, path, _, _| vec![path.readings.iter().map(|r| f64::from(u8::from(r.rest))).collect()],
         ..WhiskerEffect::new(
             "rest-zero",
             "The rest readings have another zero than the loaded ones (taken at another time or mounting).",
@@ -58,7 +62,7 @@ pub fn fbg_nonlinearity() -> WhiskerEffect {
         .column("quadratic_22", "pm/(N mm)^2")
         .at_most(MAX_SHARE);
     WhiskerEffect {
-        columns: |_, _, moments_nmm| {
+        columns: |_, _, _, moments_nmm| {
             let product = |a: usize, b: usize| moments_nmm.iter().map(|m| m[a] * m[b]).collect();
             vec![product(0, 0), product(0, 1), product(1, 1)]
         },

@@ -331,7 +331,7 @@ fn of_whisker_session(
     report.verify.contact = groove_comparison::contact_comparison(&before, &after);
     report.verify.groove_tracking = groove_comparison::groove_tracking(&after, split.1);
     Ok(Outcome {
-        judged: given.map(|g| g.judge(SessionSystem::Whisker(whole), request.search.seed)).transpose()?,
+        judged: given.map(|g| g.judge(SessionSystem::Whisker(whole))).transpose()?,
         predictions: Some(predictions_csv(&done)?),
         model: Some(CalibrationModel::Physical(calibration.clone())),
         contact,
@@ -377,7 +377,7 @@ fn of_scalar_session(
     Ok(Outcome {
         predictions: (!done.residuals.is_empty()).then(|| scalar_csv(data, &done.residuals)),
         judged: match (given, &done.whole) {
-            (Some(g), Some(whole)) => Some(g.judge(SessionSystem::Scalar(whole), request.search.seed)?),
+            (Some(g), Some(whole)) => Some(g.judge(SessionSystem::Scalar(whole))?),
             _ => None,
         },
         model: done.model.clone().map(|model| {

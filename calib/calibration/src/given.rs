@@ -55,11 +55,7 @@ impl GivenCalibration {
     ///
     /// # Errors
     /// Where it is of another kind of session, or there is nothing to judge it by.
-    pub fn judge(
-        &self,
-        session: SessionSystem<'_>,
-        seed: u64,
-    ) -> Result<CalibrationJudgement, CalibrationError> {
+    pub fn judge(&self, session: SessionSystem<'_>) -> Result<CalibrationJudgement, CalibrationError> {
         let refused = |detail: &str| Self::refused(&self.path, detail);
         let readings = self
             .file
@@ -67,7 +63,7 @@ impl GivenCalibration {
             .judged_readings(session, self.only_sealed)
             .map_err(|e| Self::refused(&self.path, e))?;
         let readings = readings.ok_or_else(|| refused("no moments at the session's poses"))?;
-        let judgement = judge(&readings, session.quantities(), seed)
+        let judgement = judge(&readings, session.quantities())
             .ok_or_else(|| refused("expected readings to judge it on, found none"))?;
         let content_sha256 = self.file.content_sha256.clone();
         Ok(CalibrationJudgement { path: self.path.clone(), content_sha256, ..judgement })

@@ -63,6 +63,7 @@ impl Session {
                 valid: true,
                 pose_nmm2: seen * seen.transpose() * NOISE_NMM.powi(2),
                 own_nmm2: Some(seen * seen.transpose() * NOISE_NMM.powi(2) * 0.5),
+                inefficiency: 0.0,
                 drift_nmm2: Matrix2::zeros(),
                 zero_nmm2: Matrix2::zeros(),
                 shared_nmm: Vec::new(),

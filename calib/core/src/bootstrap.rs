@@ -22,12 +22,7 @@ pub fn redrawn<R: Rng>(units: usize, rng: &mut R) -> impl Iterator<Item = usize>
     (0..units).map(move |_| rng.random_range(0..units))
 }
 
-/// Central 95 % of the replicates; none without any.
-pub fn percentile_interval95(replicates: Vec<f64>) -> Option<[f64; 2]> {
-    interval(replicates, 0.025)
-}
-
-/// The same, wider as `units` ask for; none for fewer than two.
+/// Central 95 % of the replicates, wider as few `units` ask for; none for fewer than two.
 pub fn expanded_interval95(replicates: Vec<f64>, units: usize) -> Option<[f64; 2]> {
     let n = units as f64;
     let t = StudentsT::new(0.0, 1.0, n - 1.0).ok().filter(|_| units > 1)?.inverse_cdf(0.975);
@@ -56,13 +51,13 @@ mod tests {
         let means = |of: usize| {
             replicates(4000, 3, |rng| redrawn(of, rng).map(|k| values[k]).sum::<f64>() / of as f64)
         };
-        let [low, high] = percentile_interval95(means(n)).unwrap();
+        let [low, high] = interval(means(n), 0.025).unwrap();
         let exact = 2.0 * 1.96 * sd / (n as f64).sqrt();
         assert!(((high - low) / exact - 1.0).abs() < 0.06, "{low} {high} {exact}");
         // Of five units the interval must be wider than its quantiles; two hundred hardly ask for it.
         let wider = |of: usize| {
             let [a, b] = expanded_interval95(means(of), of).unwrap();
-            let [low, high] = percentile_interval95(means(of)).unwrap();
+            let [low, high] = interval(means(of), 0.025).unwrap();
             (b - a) / (high - low)
         };
         assert!(wider(5) > 1.3 && (1.0..1.1).contains(&wider(n)), "{} {}", wider(5), wider(n));
@@ -70,7 +65,7 @@ mod tests {
 
     #[test]
     fn nothing_has_no_interval_and_a_seed_decides_all() {
-        assert_eq!(percentile_interval95(Vec::new()), None);
+        assert_eq!(interval(Vec::new(), 0.025), None);
         assert_eq!(expanded_interval95(vec![1.0, 2.0], 1), None);
         let draw = |seed| replicates(3, seed, |rng| redrawn(10, rng).collect::<Vec<_>>());
         assert_eq!(draw(1), draw(1));

@@ -18,7 +18,7 @@ pub struct HeldOutError {
     /// The two moments separately (kind whisker).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moment_rmse_nmm_each: Option<[f64; 2]>,
-    /// 95 % intervals by the names of the errors.
+    /// 95 % intervals by the names of the errors: of the root mean square over further groups (cycles, trajectories, folds) like those that counted.
     pub interval95: BTreeMap<String, [f64; 2]>,
     /// Rows that counted.
     pub points: usize,

@@ -73,10 +73,11 @@ impl Hypothesis {
         Some(Self { fit: fit(system, &terms, &self.weights, REFIT_STEPS)?, ..self.clone() })
     }
 
-    /// p-value of what it lacks of `with`, adjusted by the family that was searched.
+    /// p-value of what it lacks of `with`, adjusted by the family that was searched; 1 where nothing is left to test it by.
     pub fn removal_p(&self, with: &Fit, family: &MinPDistribution) -> f64 {
         let extra = (self.fit.dof - with.dof).max(1.0) as usize;
-        family.family_wise_p(f_test(self.fit.ssr - with.ssr, self.fit.ssr, self.fit.dof, extra))
+        let p = f_test(self.fit.ssr - with.ssr, self.fit.ssr, self.fit.dof, extra);
+        p.map_or(1.0, |p| family.family_wise_p(p))
     }
 
     /// Whether it may be accepted: physical, and its sum of squares no longer falls.

@@ -66,6 +66,7 @@ pub fn influential_set(with: &Fit, without: &Fit, sets: &[Vec<usize>]) -> Option
         // Where the deletion takes the term's only direction, the term rests on the set alone.
         let extra = a.rank - b.rank;
         let dof = values - (set.len() * rich.channels) as f64 - b.rank;
-        extra < 0.5 || dof - extra < 0.5 || f_test(b.ssr - a.ssr, b.ssr, dof, extra as usize) >= DELETION
+        let p = f_test(b.ssr - a.ssr, b.ssr, dof, extra.round() as usize);
+        extra < 0.5 || p.is_none_or(|p| p >= DELETION)
     })
 }

@@ -204,6 +204,36 @@ impl Linearised for FitPoint<'_> {
     }
 }
 
+/// Halvings of the grid's spacing at which a place is looked for.
+const HALVINGS: i32 = 7;
+
+/// `point` with a change at the place beside it that leaves least: it moves no reading until it passes one, and has no tangent. None where no
+/// place within its grid's spacing leaves less.
+fn nearer_place(point: &FitPoint<'_>, y: &DMatrix<f64>) -> Option<Vec<EffectTerm>> {
+    let tangents = &point.linearised()?.0;
+    let still =
+        slots(&point.terms).into_iter().zip(tangents).filter(|(_, (readings, _))| readings.norm() == 0.0);
+    let beside = still.flat_map(|((t, k), _)| {
+        let value = point.terms[t].values[k];
+        let Role::Shape { grid } =
+            point.system.catalogue()[point.terms[t].effect].law(point.terms[t].law).parameters[k].role
+        else {
+            return Vec::new();
+        };
+        let [low, high] = range(point.system, &point.terms, (t, k));
+        let at = |way: f64, halvings: i32| {
+            let mut terms = point.terms.clone();
+            terms[t].values[k] =
+                (value + way * grid_spacing(grid, value) * 0.5f64.powi(halvings)).clamp(low, high);
+            terms
+        };
+        (0..HALVINGS).flat_map(|h| [at(1.0, h), at(-1.0, h)]).collect()
+    });
+    let left = |terms: Vec<EffectTerm>| Some((evaluate(point.system, &terms, point.weights, y)?.ssr, terms));
+    let least = beside.filter_map(left).min_by(|a, b| a.0.total_cmp(&b.0));
+    least.filter(|(ssr, _)| *ssr < (1.0 - SETTLED) * point.here.ssr).map(|(_, terms)| terms)
+}
+
 /// Share of the sum of squares below which a fall is none.
 const SETTLED: f64 = 1e-5;
 /// Damping past which no shorter step is tried: steps are then a ten-thousandth of steepest descent's.
@@ -244,6 +274,9 @@ pub fn fit(
     let damping = Damping { max: MAX_DAMPING, max_steps, ..Damping::default() };
     let first = (terms.to_vec(), linearise(&terms.to_vec())?);
     let found = minimise(first, &damping, linearise, moved, enough);
+    if let Some(nearer) = Some(&found.at).filter(|_| iterations > 0).and_then(|at| nearer_place(at, &y)) {
+        return fit(system, &nearer, weights, iterations);
+    }
     let tangents = if index.is_empty() { Vec::new() } else { found.at.linearised()?.0.clone() };
     let (terms, here) = (found.place, found.at.here);
     let status = match found.ending {

@@ -6,36 +6,45 @@
 //! ```
 
 use super::distributions::f_tail;
+use super::fit::Fit;
 use super::linear::JointSpan;
 use super::options::Options;
 use super::signature::Signature;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
 use rand_distr::{ChiSquared, Distribution, StandardNormal, StudentT};
 
 /// Draws that are projected together.
 const BATCH: usize = 250;
 
-/// p-value of a fall `gain` of the sum of squares `ssr` (with `dof` degrees of freedom) for `d` more.
-pub fn f_test(gain: f64, ssr: f64, dof: f64, d: usize) -> f64 {
+/// p-value of a fall `gain` of the sum of squares `ssr` (with `dof` degrees of freedom) for `d` more; none where no degrees of freedom are left.
+pub fn f_test(gain: f64, ssr: f64, dof: f64, d: usize) -> Option<f64> {
     let d = d as f64;
     let left = dof - d;
-    if gain <= 0.0 || left < 1.0 {
-        return 1.0;
-    }
     // The residual of the larger model estimates the variance: F(d, dof - d) under the null of Gaussian noise.
     let f = (gain / d) / ((ssr - gain).max(1e-12 * ssr) / left);
-    if !f.is_finite() {
-        return if f == f64::INFINITY { 1e-300 } else { 1.0 };
+    if left < 1.0 {
+        return None;
     }
-    f_tail(f, [d, left]).map_or(1.0, |p| p.max(1e-300))
+    // Where nothing is left before, nothing is gained.
+    f_tail(if f.is_nan() { 0.0 } else { f.min(1e200) }, [d, left]).map(|p| p.max(1e-300))
 }
 
-/// p-value of an signature on a residual; one-sided laws use half the F tail.
-pub fn signature_p(signature: &Signature, gain: f64, ssr: f64, dof: f64) -> f64 {
+/// p-value of an signature on a residual, none where no degrees of freedom are left; one-sided laws use half the F tail.
+pub fn signature_p(signature: &Signature, gain: f64, ssr: f64, dof: f64) -> Option<f64> {
     // Under the null either sign is equally likely, and one of them is not admissible: half the tail is left.
-    let p = f_test(gain, ssr, dof, signature.dimension());
-    if signature.one_sided { 0.5 * p } else { p }
+    let p = f_test(gain, ssr, dof, signature.dimension())?;
+    Some(if signature.one_sided { 0.5 * p } else { p })
+}
+
+/// The signature with the smallest p on what `fit` leaves, `residual`, and that p; none where none can be tested.
+pub fn strongest<'a>(
+    signatures: impl IntoIterator<Item = &'a Signature>,
+    residual: &DVector<f64>,
+    fit: &Fit,
+) -> Option<(f64, &'a Signature)> {
+    let tested = |s: &'a Signature| Some((signature_p(s, s.gain(residual), fit.ssr, fit.dof)?, s));
+    signatures.into_iter().filter_map(tested).min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
 /// Distribution of the smallest p over a family of signatures under the null.
@@ -114,7 +123,7 @@ impl MinPDistribution {
                     let d = signature.dimension() as f64;
                     let cannot = dof > 10.0 && gain * dof / ssr < (2.0 * d).min(d + 2.0 * (2.0 * d).sqrt());
                     if gain >= 0.0 && !cannot {
-                        best = best.min(signature_p(signature, gain, ssr, dof));
+                        best = best.min(signature_p(signature, gain, ssr, dof).unwrap_or(1.0));
                     }
                 }
                 best

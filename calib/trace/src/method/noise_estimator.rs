@@ -86,7 +86,7 @@ impl<'a> NoiseEstimator<'a> {
         Some((noise, m))
     }
 
-    /// p-value of `with` against `without` (both with their own noise), judged in `family`.
+    /// p-value of `with` against `without` (both with their own noise), judged in `family`; 1 where nothing is left to test it by.
     fn p_value(
         &self,
         without: &(Noise, RestrictedLikelihood),
@@ -100,7 +100,7 @@ impl<'a> NoiseEstimator<'a> {
         let extra = (a.dof - b.dof).max(1.0);
         // Sums of squares in units of the better model's.
         let worse = lead.min(MAX_LEAD).exp();
-        family.family_wise_p(f_test(worse - 1.0, worse, a.dof, extra as usize))
+        f_test(worse - 1.0, worse, a.dof, extra as usize).map_or(1.0, |p| family.family_wise_p(p))
     }
 
     /// The effects of `best` that hold against the noise which would stand in their place, judged in `family`. A model that is degenerate under

@@ -6,7 +6,7 @@
 
 use super::covariates::{CovariateSignature, signatures_of_covariates};
 use super::fit::{Fit, Weights};
-use super::min_p::{MinPDistribution, signature_p};
+use super::min_p::{MinPDistribution, signature_p, strongest};
 use super::options::Options;
 use super::rounding::is_rounding;
 use super::signature::{Signature, nuisance_basis, signatures_of_catalogue};
@@ -84,9 +84,7 @@ impl OmnibusTest {
     pub fn leave_out(&mut self, fit: &Fit, effects: &[usize]) {
         let residual = fit.stacked();
         let others = self.signatures.iter().filter(|s| !effects.contains(&s.term.effect));
-        let smallest =
-            others.map(|s| signature_p(s, s.gain(&residual), fit.ssr, fit.dof)).fold(1.0, f64::min);
-        self.p_catalogue = self.family.family_wise_p(smallest);
+        self.p_catalogue = family_wise(&self.family, strongest(others, &residual, fit));
     }
 
     /// Whether everything that `fit` leaves is a small part of its misfit.
@@ -114,6 +112,11 @@ impl OmnibusTest {
         .map(|(p, level)| p * OMNIBUS / level)
         .fold(1.0, f64::min)
     }
+}
+
+/// Family-wise p-value of the strongest signature; 1 where none could be tested.
+fn family_wise(family: &MinPDistribution, strongest: Option<(f64, &Signature)>) -> f64 {
+    strongest.map_or(1.0, |(p, _)| family.family_wise_p(p))
 }
 
 /// p-value (normal approximation) and size of the lag-one correlation of neighbouring readings of one group.
@@ -173,7 +176,7 @@ fn generic(
     let mut scores: Vec<CovariateScore> = Vec::new();
     for a in &signatures {
         let gain = a.signature.gain(residual);
-        let p_single = signature_p(&a.signature, gain, fit.ssr, fit.dof);
+        let Some(p_single) = signature_p(&a.signature, gain, fit.ssr, fit.dof) else { continue };
         let score = CovariateScore {
             covariate: a.covariate.clone(),
             shape: a.shape,
@@ -208,9 +211,7 @@ pub fn omnibus_test(
     let residual = fit.stacked();
     let refs: Vec<&Signature> = signatures.iter().collect();
     let family = MinPDistribution::simulate(&refs, fit.dof, options);
-    let smallest =
-        signatures.iter().map(|a| signature_p(a, a.gain(&residual), fit.ssr, fit.dof)).fold(1.0, f64::min);
-    let p_catalogue = family.family_wise_p(smallest);
+    let p_catalogue = family_wise(&family, strongest(&signatures, &residual, fit));
     let (p_covariates, covariates, covariate_family) = generic(system, fit, weights, &residual, options);
     let (p_serial, serial_correlation) = serial(system, fit, weights);
     OmnibusTest {

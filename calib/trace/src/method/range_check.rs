@@ -43,7 +43,7 @@ fn is_within_share(fit: &Fit, columns: Range<usize>, share: f64) -> bool {
         .collect();
     let free: Vec<f64> = own.iter().map(|&(j, c)| fit.coefficients[(j, c)]).collect();
     let Some(rise) = rise_under_bound(fit, &own, &directions, &free, &largest) else { return true };
-    f_test(rise, fit.ssr + rise, fit.dof + over as f64, over) > RANGE
+    f_test(rise, fit.ssr + rise, fit.dof + over as f64, over).is_none_or(|p| p > RANGE)
 }
 
 /// Rise of the misfit where the effect's part is held within `largest` at every reading: a bounded least squares fit, convex.

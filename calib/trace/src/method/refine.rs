@@ -83,10 +83,12 @@ fn add_column(system: &dyn MeasurementModel, from: &Hypothesis) -> Option<Hypoth
         refit(system, &[terms.iter().cloned().chain([more]).collect()], from)
     };
     let tried: Vec<Hypothesis> = free.filter_map(with).collect();
-    let p = |h: &Hypothesis| f_test(from.fit.ssr - h.fit.ssr, from.fit.ssr, from.fit.dof, 1);
     let count = tried.len() as f64;
     let allowed = tried.into_iter().filter(|h| h.is_admissible(system) && system.not_identified(h).is_none());
-    allowed.min_by(|a, b| p(a).total_cmp(&p(b))).filter(|h| p(h) * count < CATALOGUE)
+    let tested =
+        allowed.filter_map(|h| Some((f_test(from.fit.ssr - h.fit.ssr, from.fit.ssr, from.fit.dof, 1)?, h)));
+    let best = tested.min_by(|a, b| a.0.total_cmp(&b.0));
+    best.filter(|(p, _)| p * count < CATALOGUE).map(|(_, h)| h)
 }
 
 /// The best refinement of one of its terms, where it is physical and earns its parameters (F test over all that were tried).
@@ -112,7 +114,7 @@ fn refine(system: &dyn MeasurementModel, base: &Hypothesis, from: &Hypothesis) -
             let Some(to) = refit(system, &starts, from).filter(|h| h.is_admissible(system)) else { continue };
             let extra = (to.parameters(&base.fit) - from.parameters(&base.fit)).max(1.0);
             let p = f_test(from.fit.ssr - to.fit.ssr, from.fit.ssr, from.fit.dof, extra as usize);
-            if best.as_ref().is_none_or(|(least, _)| p < *least) {
+            if let Some(p) = p.filter(|p| best.as_ref().is_none_or(|(least, _)| p < least)) {
                 best = Some((p, to));
             }
         }

@@ -332,7 +332,7 @@ fn merge(
     }
 }
 
-/// p-value of the step from `from` to `to`, adjusted by the family that was searched.
+/// p-value of the step from `from` to `to`, adjusted by the family that was searched; 1 where nothing is left to test it by.
 fn f_to_enter(from: &Hypothesis, to: &Hypothesis, base: &Fit, test: &OmnibusTest) -> f64 {
     if to.flagged.len() > from.flagged.len() {
         return to.flag_p;
@@ -340,7 +340,7 @@ fn f_to_enter(from: &Hypothesis, to: &Hypothesis, base: &Fit, test: &OmnibusTest
     let extra = to.parameters(base) - from.parameters(base);
     let gain = from.fit.ssr - to.fit.ssr;
     let single = f_test(gain, from.fit.ssr, from.fit.dof, extra.max(1.0) as usize);
-    test.family.family_wise_p(single)
+    single.map_or(1.0, |p| test.family.family_wise_p(p))
 }
 
 /// How many things terms stand for: columns of one effect are one.

@@ -65,7 +65,7 @@ pub fn assess<M: SessionModel>(
     let (before, after) = (at(base)?, at(accepted)?);
     let flagged = holdout_outliers(&whole, [base, accepted], noise);
     let counts = whole.scored().contains(&true);
-    let errors = counts.then(|| errors(&whole, [&before, &after], &flagged, noise, decision.seed));
+    let errors = counts.then(|| errors(&whole, [&before, &after], &flagged, noise));
     let holdout = match (&errors, look) {
         (Some(errors), Some(look)) => judgement(decision, &whole, [&before, &after], &flagged, errors, look),
         _ => HoldoutJudgement::default(),
@@ -91,9 +91,8 @@ fn errors<M: SessionModel>(
     [before, after]: [&M::Predictions; 2],
     flagged: &[usize],
     noise: &Noise,
-    seed: u64,
 ) -> Errors {
-    let sum = |rows: &[HeldOut]| summarise(rows, whole.quantities(), "holdout", seed);
+    let sum = |rows: &[HeldOut]| summarise(rows, whole.quantities(), "holdout");
     let rows = scored(whole, after, &[]);
     let trimmed = |p: &M::Predictions| sum(&scored(whole, p, flagged));
     Errors {

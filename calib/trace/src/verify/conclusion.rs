@@ -5,6 +5,7 @@ use super::explained::Explained;
 use super::session_model::SessionModel;
 use crate::effect::{EffectTerm, LawRequirement};
 use crate::error::TraceError;
+use crate::levels::OMNIBUS;
 use crate::method::hypothesis::{Gate, Hypothesis};
 use crate::method::inference::equivalence_class;
 use crate::method::lack_of_fit::LackOfFit;
@@ -251,11 +252,6 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         chosen.ok_or_else(error).map(Some)
     }
 
-    /// Whether the verdict says that `accepted` holds, as far as fitted readings tell.
-    pub fn asserts(&self, accepted: &Hypothesis, on_request: bool) -> bool {
-        asserts_validity(self.verdict(&self.effects(accepted)), on_request)
-    }
-
     /// The names that a conclusion on `accepted` would list.
     pub fn effects(&self, accepted: &Hypothesis) -> Vec<NamedEffect> {
         let found = self.found();
@@ -268,14 +264,23 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         effects
     }
 
-    /// The order of docs/src/formats.md: ambiguous, unknown-effect, effect, twin-fault, adequate.
-    fn verdict(&self, effects: &[NamedEffect]) -> Verdict {
+    /// The omnibus test of `accepted`, or of the declared model where the best explanation was taken back, rejects it.
+    fn rejects(&self, accepted: &Hypothesis) -> bool {
+        let SearchResult { best, first_test, last_test, .. } = self.found();
+        let is_best = accepted.fit.terms == best.fit.terms && accepted.flagged == best.flagged;
+        !self.explained.exact && if is_best { last_test } else { first_test }.rejected()
+    }
+
+    /// The order of docs/src/formats.md: ambiguous, unknown-effect, effect, twin-fault, adequate. What the omnibus test rejects is never adequate.
+    fn verdict(&self, accepted: &Hypothesis, effects: &[NamedEffect]) -> Verdict {
         if self.is_ambiguous() {
             Verdict::Ambiguous
         } else if self.left || self.lack.is_some() {
             Verdict::UnknownEffect
         } else if !effects.is_empty() {
             Verdict::Effect
+        } else if self.rejects(accepted) {
+            Verdict::UnknownEffect
         } else if !self.faults.is_empty() {
             Verdict::TwinFault
         } else {
@@ -329,7 +334,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
     fn conclude_search(&self, accepted: Hypothesis, on_request: bool) -> Conclusion {
         let (model, found) = (self.model, self.found());
         let effects = self.effects(&accepted);
-        let verdict = self.verdict(&effects);
+        let verdict = self.verdict(&accepted, &effects);
         // A term that is none was taken back: what else survives was found beside it.
         let reduced = accepted.fit.terms.len() < self.accepted().fit.terms.len() && !on_request;
         let own = || effects.iter().map(|e| e.id.clone()).collect::<Vec<_>>();
@@ -350,7 +355,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
                 format!("The data show an unmodelled effect; these explanations remain: {names}.")
             }
             Verdict::UnknownEffect => {
-                unknown = self.unknown();
+                unknown = self.unknown(&accepted);
                 let why = found.rejections.iter().rfind(|r| r.gate == Gate::Identifiability);
                 let why =
                     why.map_or(String::new(), |r| format!(" {} is not named: {}.", join(&r.effects), r.why));
@@ -364,13 +369,14 @@ impl<'a, M: SessionModel> Facts<'a, M> {
                 )
             }
             _ if self.explained.exact => "The declared model fits to the last digit.".to_owned(),
-            _ if reduced => "Nothing that the data support is left by the declared model.".to_owned(),
             _ if found.first_test.is_rounding => {
                 "The readings are those of the declared model, rounded to their last digit.".to_owned()
             }
             _ => {
                 let p = found.first_test.p_value(self.p_lack_of_fit);
-                format!("The declared model explains the readings to within the noise (omnibus p = {p:.2}).")
+                let within =
+                    if p < OMNIBUS { "its own error, a hundredth of the misfit" } else { "the noise" };
+                format!("The declared model explains the readings to within {within} (omnibus p = {p:.2}).")
             }
         };
         let refuted = found.rejections.iter().filter(|r| r.gate == Gate::Witness);
@@ -387,16 +393,20 @@ impl<'a, M: SessionModel> Facts<'a, M> {
         Conclusion { verdict, reason, effects, alternatives, rivals, unknown, accepted, on_request }
     }
 
-    /// What drives what is left.
-    fn unknown(&self) -> Option<UnknownEffect> {
+    /// What drives what `accepted` leaves.
+    fn unknown(&self, accepted: &Hypothesis) -> Option<UnknownEffect> {
         let (model, found) = (self.model, self.found());
-        let (test, fitted) =
-            if self.something { (&found.last_test, &found.best) } else { (&found.first_test, &found.base) };
+        let named = self.something && !accepted.fit.terms.is_empty();
+        let (test, fitted, left) = if named {
+            (&found.last_test, &found.best, self.left)
+        } else {
+            (&found.first_test, &found.base, self.rejects(accepted))
+        };
         let clock = |s: &CovariateScore| matches!(s.covariate.as_str(), "order" | "t_s");
         // What repeats with the protocol follows its places, not the clock that counts them.
         let protocol = |s: &CovariateScore| clock(s) && model.repeats_with_protocol(fitted, &s.columns);
         let by_place = self.lack.is_some() && test.covariates.first().is_none_or(protocol);
-        if self.left && !by_place { unknown(test) } else { self.lack.clone() }
+        if left && !by_place { unknown(test) } else { self.lack.clone() }
     }
 
     /// The declared model, where the effects predict worse than it does: they are no explanation, and nothing of them stays.
@@ -410,9 +420,11 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             format!("{after} {unit}").trim_end()
         );
         let lack = self.model.lack_of_fit(&base).is_some_and(|l| l.is_significant());
-        let (verdict, reason) = if self.found().first_test.generic() || lack {
-            let left = "A residual remains that no catalogued effect explains.";
-            (Verdict::UnknownEffect, format!("{found} {left}"))
+        let rejected = self.rejects(&base) || lack;
+        let driver = || self.unknown(&base).or_else(|| irregular(self.model));
+        let unknown = if rejected { driver() } else { None };
+        let (verdict, reason) = if rejected {
+            (Verdict::UnknownEffect, format!("{found} {}", unknown_reason(unknown.as_ref(), &[])))
         } else if let [noise] = &effects[..] {
             (Verdict::Effect, format!("{} {found}", noise.sentence))
         } else {
@@ -420,7 +432,7 @@ impl<'a, M: SessionModel> Facts<'a, M> {
             (Verdict::Adequate, format!("{enough} {found}"))
         };
         let alternatives = effects.iter().map(|e| vec![e.id.clone()]).collect();
-        let (rivals, unknown, on_request) = (Vec::new(), None, false);
+        let (rivals, on_request) = (Vec::new(), false);
         Conclusion { verdict, reason, effects, alternatives, rivals, unknown, accepted: base, on_request }
     }
 }

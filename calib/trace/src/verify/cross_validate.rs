@@ -73,8 +73,7 @@ pub fn cross_validate<M: SessionModel>(
     let mut left_out = leave_out(&model, found, &accepted, noise, on_request, seed);
     // Where each term has earned its gain over whole groups already, pictures among it, the first quantity's error alone says no more.
     let judged = model.cross_validates_terms() || accepted.fit.terms.is_empty() || on_request;
-    let may_fall = !judged && facts.asserts(&accepted, on_request);
-    let rise = left_out.insufficient_gain(&model).filter(|_| may_fall);
+    let rise = left_out.insufficient_gain(&model).filter(|_| !judged);
     let names = |h: &Hypothesis| facts.effects(h).into_iter().map(|e| e.id).collect();
     let withdrawn = rise.map(|errors| Withdrawn { names: names(&accepted), errors });
     if withdrawn.is_some() {

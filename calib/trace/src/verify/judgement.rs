@@ -22,9 +22,9 @@ pub struct JudgedReading {
 }
 
 /// The judgement over readings; none without any.
-pub fn judge(readings: &[JudgedReading], quantities: &[Quantity], seed: u64) -> Option<CalibrationJudgement> {
+pub fn judge(readings: &[JudgedReading], quantities: &[Quantity]) -> Option<CalibrationJudgement> {
     let rows: Vec<HeldOut> = readings.iter().map(|r| r.held_out.clone()).collect();
-    let error = summarise(&rows, quantities, "holdout", seed)?;
+    let error = summarise(&rows, quantities, "holdout")?;
     let coverage95 = coverage95(&rows)?;
     let all: Vec<f64> = readings.iter().flat_map(|r| r.in_sd.iter().copied()).collect();
     let ratio = (all.iter().map(|z| z * z).sum::<f64>() / all.len().max(1) as f64).sqrt();
@@ -68,9 +68,9 @@ mod tests {
             };
             (0..20).map(of).collect()
         };
-        assert!(judge(&readings(1.0), &quantity, 1).unwrap().holds);
-        let wrong = judge(&readings(4.0), &quantity, 1).unwrap();
+        assert!(judge(&readings(1.0), &quantity).unwrap().holds);
+        let wrong = judge(&readings(4.0), &quantity).unwrap();
         assert!(!wrong.holds && wrong.why.contains("4.0 times"), "{}", wrong.why);
-        assert!(judge(&[], &quantity, 1).is_none());
+        assert!(judge(&[], &quantity).is_none());
     }
 }

@@ -138,7 +138,7 @@ pub fn leave_out<M: SessionModel>(
     let declared = |m: &M, fold: &Fold<M>| m.predict(&fold.declared(m, steps)?, &fold.reading_sd);
     let labels = |m: &M, fold: &Fold<M>| m.predict_by_labels(&fold.declared(m, steps)?.weights);
     let chosen = |m: &M, fold: &Fold<M>| m.predict(&fold.chosen, &fold.reading_sd);
-    let sum = |rows: &[HeldOut]| summarise(rows, model.quantities(), left_out.split.split, seed);
+    let sum = |rows: &[HeldOut]| summarise(rows, model.quantities(), left_out.split.split);
     let after = left_out.rows(model, counts, chosen);
     let repaired = sum(&left_out.rows(model, counts, declared));
     let by_twin = sum(&left_out.rows(model, counts, labels));

@@ -62,6 +62,7 @@ mod scalar_bends;
 mod scalar_cells;
 mod scalar_inputs;
 mod scalar_measured;
+mod scalar_names;
 mod scalar_simulated;
 mod scalar_structure;
 mod toy;

@@ -13,7 +13,7 @@ use wcal_trace::verify::VerifyRequest;
 /// Stimulus, response, cycle, further columns, time.
 type Reading = (f64, f64, Option<u32>, Vec<f64>, Option<f64>);
 
-fn run(model: TransducerModel, columns: &[&str], readings: Vec<Reading>) -> ScalarVerification {
+pub(super) fn run(model: TransducerModel, columns: &[&str], readings: Vec<Reading>) -> ScalarVerification {
     stating(model, columns, readings, &|_| None)
 }
 
@@ -53,17 +53,17 @@ fn stating(
     verify_scalar("simulated", ScalarData::Transducer(&data), Sealed::default(), &options).unwrap()
 }
 
-fn linear(readings: Vec<Reading>) -> ScalarVerification {
+pub(super) fn linear(readings: Vec<Reading>) -> ScalarVerification {
     run(TransducerModel::Linear, &[], readings)
 }
 
-fn noise(seed: u64) -> impl FnMut() -> f64 {
+pub(super) fn noise(seed: u64) -> impl FnMut() -> f64 {
     let mut rng = Noise::new(seed);
     move || rng.next()
 }
 
 /// Value of a named parameter with its interval.
-fn parameter(v: &ScalarVerification, name: &str) -> (f64, [f64; 2]) {
+pub(super) fn parameter(v: &ScalarVerification, name: &str) -> (f64, [f64; 2]) {
     let all = v.document.effects.iter().flat_map(|e| &e.parameters);
     all.into_iter().find(|p| p.name == name).map(|p| (p.value, p.interval95)).unwrap()
 }

@@ -191,7 +191,7 @@ fn held_out_errors_are_root_mean_squares_with_an_interval_around_them() {
     };
     let quantities = null().1.quantities();
     let rows: Vec<HeldOut> = (0..12).map(|k| row(k / 2, if k < 6 { 1.0 } else { 3.0 })).collect();
-    let e = summarise(&rows, quantities, "holdout", 1).unwrap();
+    let e = summarise(&rows, quantities, "holdout").unwrap();
     let rmse = e.rmse["wavelength_rmse_pm"];
     assert!((rmse - 5.0_f64.sqrt()).abs() < 1e-12);
     let [low, high] = e.interval95["wavelength_rmse_pm"];
@@ -200,9 +200,9 @@ fn held_out_errors_are_root_mean_squares_with_an_interval_around_them() {
     assert_eq!(coverage95(&rows), Some(0.75), "6 of 24 are outside");
     // One group only: its readings are resampled, an interval has a width.
     let one: Vec<HeldOut> = rows.iter().map(|r| HeldOut { group: 0, ..r.clone() }).collect();
-    let [low, high] = summarise(&one, quantities, "holdout", 1).unwrap().interval95["wavelength_rmse_pm"];
+    let [low, high] = summarise(&one, quantities, "holdout").unwrap().interval95["wavelength_rmse_pm"];
     assert!(low < high, "{low} {high}");
-    assert!(summarise(&[], quantities, "holdout", 1).is_none() && coverage95(&[]).is_none());
+    assert!(summarise(&[], quantities, "holdout").is_none() && coverage95(&[]).is_none());
 }
 
 #[test]

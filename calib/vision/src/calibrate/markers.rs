@@ -333,7 +333,7 @@ pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
             if shown(&|p| count(p, family) > 0) > 0 {
                 return None;
             }
-            let others = FAMILIES.iter().filter(|kind| *kind != family && !kind.ends_with(WIDE_BORDER));
+            let others = TAG_FAMILIES.iter().filter(|kind| *kind != family && !kind.ends_with(WIDE_BORDER));
             // Small tags are seen by chance here and there, half a board of them is not.
             let seen = others.into_iter().find(|kind| shown(&|p| 2 * count(p, kind) > tags) >= enough)?;
             Some(format!("tags of {seen}, none of {family} (--dictionary {seen})"))

@@ -13,7 +13,8 @@ use super::parts::Noise;
 use super::spread_model::{SpreadModel, fit_variance_function};
 use super::tails::tails;
 use super::whitening::Weights;
-use crate::levels::{NOISE_PART, NORMAL_95, PRICE, gain, gain_at_bound};
+use crate::levels::{NOISE_PART, PRICE, gain, gain_at_bound};
+use crate::method::distributions::sd_interval95;
 use wcal_core::order_statistics::median;
 use wcal_core::verify_document::NoisePart;
 
@@ -80,9 +81,8 @@ pub fn estimate(
     let m = restricted_likelihood(model, &weights)?;
     let s = (m.ssr / m.dof).sqrt();
     let whitened = studentised_residuals(model, &weights, s);
-    let half = NORMAL_95 / (2.0 * m.dof).sqrt();
     Some(Noise {
-        repeat: NoisePart { value: s, interval95: [s * (1.0 - half).max(0.1), s * (1.0 + half)] },
+        repeat: NoisePart { value: s, interval95: sd_interval95(s, m.dof)? },
         pose,
         correlated,
         law,
@@ -324,5 +324,25 @@ mod tests {
             clean += usize::from(n.weights.shared().is_none() && n.law.is_none());
         }
         assert!(poses >= 18 && slow >= 18 && laws >= 18 && clean >= 19, "{poses} {slow} {laws} {clean}");
+    }
+
+    #[test]
+    fn the_interval_of_the_repeat_noise_of_few_readings_holds_it() {
+        for n in [5, 6, 8] {
+            let design = DMatrix::from_fn(n, 2, |i, j| (i as f64).powi(j as i32));
+            let held = (0..400).filter(|seed| {
+                let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(*seed);
+                let residual = DMatrix::from_fn(n, 1, |_, _| StandardNormal.sample(&mut rng));
+                let model =
+                    MeanModel { design: &design, tangents: &[], residual: &residual, extra: Vec::new() };
+                let inputs = NoiseInputs::none(n);
+                let noise = estimate(&model, &inputs, &Weights::equal(n), correlated_gain(), 1).unwrap();
+                let [low, high] = noise.repeat.interval95;
+                (low..high).contains(&1.0)
+            });
+            // 380 +- 4.4 expected; the Gaussian's interval held 344 to 364.
+            let held = held.count();
+            assert!((367..=393).contains(&held), "{n}: {held}");
+        }
     }
 }

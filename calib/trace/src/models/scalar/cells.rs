@@ -1,8 +1,5 @@
-//! Residuals between and within cells: readings that are equal in every input (stimulus, direction) make a cell.
-//!
-//! ```text
-//! S = S_between + S_within,   S_within = |(I - P_[M, D]) y|^2        M: model's columns and tangents, D: one column a cell
-//! ```
+//! Names that the design identifies: readings that are equal in every input (stimulus, direction) make a cell, and residuals are split between and
+//! within cells (`method::lack_of_fit`).
 //!
 //! What is a function of the cell repeats with the protocol, and laws over time, order or stimulus can all take it. So each has to earn its
 //! gain where it says something of its own (two-stratum analysis of variance; Fisher, "Design of Experiments", ch. IV):
@@ -17,95 +14,19 @@ use crate::levels::{BETWEEN_STRATA, WITHIN_STRATA};
 use crate::measurement_model::MeasurementModel;
 use crate::method::admissible::REFIT_STEPS;
 use crate::method::deletion_diagnostics::influential_set;
-use crate::method::distributions::f_tail;
 use crate::method::fit::{Fit, Weights, fit};
 use crate::method::hypothesis::{Hypothesis, NotIdentified};
-use crate::method::linear::Basis;
-use crate::method::min_p::{f_test, signature_p};
+use crate::method::lack_of_fit::{extra_sum_of_squares_p, members, split};
+use crate::method::min_p::{f_test, strongest};
 use crate::method::search_result::SearchResult;
-use crate::method::signature::Signature;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 /// Repeats from which cells say something of a law.
 const MIN_PURE_DOF: usize = 5;
+/// A load below this share of the largest one is none.
+const UNLOADED: f64 = 0.05;
 /// Level at which a plainer effect is contradicted.
 const CONTRADICTED: f64 = 1e-3;
-
-/// A sum of squares with its degrees of freedom.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Part {
-    /// Sum of squares.
-    pub ss: f64,
-    /// Degrees of freedom.
-    pub dof: f64,
-}
-
-/// What a fit leaves, between cells and within.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Split {
-    /// Between cells.
-    pub between: Part,
-    /// Within cells.
-    pub within: Part,
-}
-
-/// Rows that count, by cell.
-fn members(cells: &[u64], weights: &[f64]) -> Vec<Vec<usize>> {
-    let mut rows: Vec<usize> = (0..cells.len()).filter(|&i| weights[i] > 0.0).collect();
-    rows.sort_by_key(|&i| cells[i]);
-    rows.chunk_by(|&a, &b| cells[a] == cells[b]).map(<[usize]>::to_vec).collect()
-}
-
-/// `values` weighted, less the weighted mean of each cell where `within`.
-fn weighted(values: &[f64], weights: &[f64], cells: &[Vec<usize>], within: bool) -> DVector<f64> {
-    let mut out = DVector::from_fn(values.len(), |i, _| weights[i] * values[i]);
-    for cell in cells.iter().filter(|_| within) {
-        let square: f64 = cell.iter().map(|&i| weights[i].powi(2)).sum();
-        let mean = cell.iter().map(|&i| weights[i].powi(2) * values[i]).sum::<f64>() / square;
-        cell.iter().for_each(|&i| out[i] -= weights[i] * mean);
-    }
-    out
-}
-
-/// Share within cells, in that of the stimulus, below which a column is one of the cell alone: thirty waves over the range change 54 times as much.
-const OF_STIMULUS: f64 = 100.0;
-
-/// Splits what `fit` leaves; readings independent but for their relative spread. Of a stimulus `x` that is read with scatter within cells, what
-/// follows it says nothing there.
-pub fn split(fit: &Fit, weights: &Weights, cells: &[u64], x: &[f64]) -> Split {
-    let w = weights.relative();
-    let cells = members(cells, w);
-    let norms = |column: &[f64]| [true, false].map(|within| weighted(column, w, &cells, within).norm());
-    let [scatter, size] = norms(x);
-    let negligible = OF_STIMULUS * scatter / size.max(1e-300);
-    let of = |within: bool| {
-        let mut basis = Basis::default();
-        let tangents = fit.raw_tangents.iter().map(|t| t.column(0).clone_owned());
-        for column in fit.raw_design.column_iter().map(|c| c.clone_owned()).chain(tangents) {
-            let [inside, whole] = norms(column.as_slice());
-            if !within || inside > negligible * whole {
-                basis.push_beside(&weighted(column.as_slice(), w, &cells, within), whole);
-            }
-        }
-        let left = weighted(fit.raw_residual.column(0).clone_owned().as_slice(), w, &cells, within);
-        (basis.project_off(&left).norm_squared(), basis.rank() as f64)
-    };
-    let readings = cells.iter().map(Vec::len).sum::<usize>() as f64;
-    let ((whole, rank), (inside, rank_inside)) = (of(false), of(true));
-    let within = Part { ss: inside, dof: readings - cells.len() as f64 - rank_inside };
-    let between = Part { ss: (whole - inside).max(0.0), dof: readings - rank - within.dof };
-    Split { between, within }
-}
-
-/// p-value of a fall from `without` to `with` beside what is left; 1 where nothing is gained or nothing left to compare with.
-fn extra_sum_of_squares_p(without: Part, with: Part) -> f64 {
-    let (gain, extra) = (without.ss - with.ss, without.dof - with.dof);
-    if extra < 0.5 || with.dof < 0.5 || gain <= 0.0 {
-        return 1.0;
-    }
-    let f = gain / extra / (with.ss / with.dof).max(1e-300);
-    f_tail(f, [extra, with.dof]).unwrap_or(1.0)
-}
 
 /// Cells hold repeats enough to say something.
 fn repeated(cells: &[u64], weights: &[f64]) -> bool {
@@ -131,8 +52,9 @@ impl Strata {
     fn explains_between_strata(&self, fits: [&Fit; 2], weights: &Weights, by_clock: bool, x: &[f64]) -> bool {
         let cells = if by_clock { &self.protocol } else { &self.cells };
         let [with, without] = fits.map(|fit| split(fit, weights, cells, x));
-        extra_sum_of_squares_p(without.within, with.within) < WITHIN_STRATA
-            || (!by_clock && extra_sum_of_squares_p(without.between, with.between) < BETWEEN_STRATA)
+        extra_sum_of_squares_p(without.within, with.within).is_some_and(|p| p < WITHIN_STRATA)
+            || (!by_clock
+                && extra_sum_of_squares_p(without.between, with.between).is_some_and(|p| p < BETWEEN_STRATA))
     }
 }
 
@@ -183,7 +105,7 @@ impl ScalarSystem {
             {
                 return why(if by_clock { REPEATS } else { AS_A_TABLE }.to_owned());
             }
-            let (levels, value) = self.levels(term, &h.weights);
+            let (levels, value) = self.driving_levels(term, &h.weights);
             if let Some(level) = influential_set(&h.fit, &without, &levels) {
                 return why(format!("it rests on one level ({})", value(&self.frame.rows[levels[level][0]])));
             }
@@ -210,8 +132,9 @@ impl ScalarSystem {
             fit(self, &terms, &h.weights, REFIT_STEPS)
         };
         let (alone, both) = (with(&[&plain])?, with(&[&plain, term])?);
-        let gain = |from: &Fit| f_test(from.ssr - both.ssr, from.ssr, from.dof, 1);
-        (gain(&alone) > CONTRADICTED || gain(&h.fit) < CONTRADICTED).then_some(plainer)
+        let gains =
+            |from: &Fit| f_test(from.ssr - both.ssr, from.ssr, from.dof, 1).is_some_and(|p| p < CONTRADICTED);
+        (!gains(&alone) || gains(&h.fit)).then_some(plainer)
     }
 
     /// A shape that is none of the effect describes the readings as well (Akaike, two parameters) in place of `term`, by any of its laws: stimuli in steps of a fixed
@@ -244,11 +167,25 @@ impl ScalarSystem {
         Some(Strata { cells, protocol })
     }
 
-    /// Rows that count, by the settings of what drives `term`: a further column, else the stimulus; and its value in a row.
-    fn levels(&self, term: &EffectTerm, weights: &Weights) -> (Vec<Vec<usize>>, impl Fn(&ScalarRow) -> f64) {
+    /// Rows that count, by the settings of what drives `term`: a further column, else the stimulus; and its value in a row. A load that is not
+    /// there drives nothing: most rows of an axis that is loaded by itself are none of its levels. Empty below two, without one of which the
+    /// design says nothing of the term.
+    fn driving_levels(
+        &self,
+        term: &EffectTerm,
+        weights: &Weights,
+    ) -> (Vec<Vec<usize>>, impl Fn(&ScalarRow) -> f64) {
         let column = self.catalogue()[term.effect].by_column.then_some(term.law);
-        let rows = members(&level_keys(&self.frame, column), weights.relative());
-        (rows, move |row: &ScalarRow| column.and_then(|k| row.covariates.get(k).copied()).unwrap_or(row.x))
+        let value =
+            move |row: &ScalarRow| column.and_then(|k| row.covariates.get(k).copied()).unwrap_or(row.x);
+        let size = |i: &usize| value(&self.frame.rows[*i]).abs();
+        let mut rows = members(&level_keys(&self.frame, column), weights.relative());
+        let least = UNLOADED * rows.iter().map(|r| size(&r[0])).fold(0.0, f64::max);
+        rows.retain(|level| column.is_none() || level.iter().any(|i| size(i) > least));
+        if rows.len() < 2 {
+            rows.clear();
+        }
+        (rows, value)
     }
 
     /// Rows that count, by cycle; empty below four: without one of three a law loses a third of its readings.
@@ -266,9 +203,8 @@ impl ScalarSystem {
             return false;
         }
         let left = best.fit.stacked();
-        let p = |s: &Signature| signature_p(s, s.gain(&left), best.fit.ssr, best.fit.dof);
-        let strongest = test.signatures.iter().min_by(|a, b| p(a).total_cmp(&p(b)));
-        strongest.is_some_and(|s| self.runs_with_the_clock(&s.term))
+        let strongest = strongest(&test.signatures, &left, &best.fit);
+        strongest.is_some_and(|(_, s)| self.runs_with_the_clock(&s.term))
     }
 
     /// What `columns` explain of what `h` leaves says nothing within cells: it repeats with the protocol.
@@ -286,6 +222,7 @@ impl ScalarSystem {
         extra_sum_of_squares_p(
             split(&h.fit, &h.weights, &cells, &self.frame.read_u).within,
             split(&richer, &h.weights, &cells, &self.frame.read_u).within,
-        ) >= WITHIN_STRATA
+        )
+        .is_none_or(|p| p >= WITHIN_STRATA)
     }
 }

@@ -5,7 +5,6 @@ use super::bends::compete;
 use super::effects::{ERROR_TABLE, HETEROSCEDASTIC_NOISE, ZERO_BY_SERIES};
 use super::floor::{noise_floor, replicate_keys};
 use super::frame::Declared;
-use super::leftover::judge_driver;
 use super::model::ScalarModel;
 use super::parameters::{self, of_effect, zero_scatter};
 use super::polynomial::{Polynomial, polynomial};
@@ -21,7 +20,7 @@ use crate::error::TraceError;
 use crate::levels::CATALOGUE;
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
-use crate::method::lack_of_fit::{LackOfFit, lack_of_fit};
+use crate::method::lack_of_fit::{LackOfFit, split};
 use crate::method::noise::Noise;
 use crate::method::noise::spread::SpreadLaw;
 use crate::method::options::Options;
@@ -69,9 +68,8 @@ impl ScalarSystem {
 
     /// Splits what a fit leaves by its replicates.
     pub fn pure_error(&self, h: &Hypothesis) -> Option<LackOfFit> {
-        let parameters = h.fit.design.ncols() + h.fit.tangents.len();
-        let residual: Vec<f64> = h.fit.residual.column(0).iter().copied().collect();
-        let lack = lack_of_fit(&residual, &replicate_keys(&self.frame), h.weights.relative(), parameters)?;
+        let lack =
+            LackOfFit::of(split(&h.fit, &h.weights, &replicate_keys(&self.frame), &self.frame.read_u))?;
         // Repeats of a coarse read-out agree; that says nothing of how well a model does.
         let rounded = lack.is_significant() && is_rounding(self, &h.fit, &h.weights);
         Some(LackOfFit { p_value: lack.p_value.filter(|_| !rounded), ..lack })
@@ -190,7 +188,6 @@ impl SessionModel for ScalarSystem {
     fn complete(&self, explained: &mut Explained, options: &Options) {
         prefer_error_table(self, explained, options);
         compete(self, explained, options);
-        judge_driver(self, explained);
     }
 
     fn noise_effect(&self) -> Option<NamedEffect> {

@@ -7,7 +7,6 @@ pub mod effects;
 pub mod floor;
 pub mod frame;
 pub mod judgement;
-mod leftover;
 mod measurement;
 pub mod model;
 pub mod next;

@@ -6,7 +6,7 @@ use super::frame::{Declared, Frame, Names, ScalarRow, Scaling};
 use super::range_limit::{RangeLimit, read_out};
 use super::row::all;
 use super::scalar_effect::ScalarEffect;
-use crate::effect::{Effect, EffectTerm, LawRequirement, Values};
+use crate::effect::{Effect, EffectModel, EffectTerm, LawRequirement, Values};
 use crate::measurement_model::{MeasurementModel, design_of, finite};
 use crate::method::hypothesis::{Hypothesis, NotIdentified};
 use crate::method::noise::NoiseInputs;
@@ -238,8 +238,10 @@ impl MeasurementModel for ScalarSystem {
         if *bend && self.frame.cyclic() {
             return Some(ONE_PLACE.to_owned());
         }
-        let unmet = effect.needs().iter().find_map(|need| unmet(*need, &self.frame));
-        unmet.map(str::to_owned).or_else(|| not_observable(&self.frame))
+        // None of its laws has what it needs.
+        let unmet = |law: &EffectModel| law.needs.iter().find_map(|need| unmet(*need, &self.frame));
+        let unmet: Option<Vec<&str>> = effect.laws.iter().map(unmet).collect();
+        unmet.and_then(|all| Some((*all.first()?).to_owned())).or_else(|| not_observable(&self.frame))
     }
 
     fn not_identified(&self, h: &Hypothesis) -> Option<NotIdentified> {

@@ -9,7 +9,7 @@ use crate::measurement_model::MeasurementModel;
 use crate::method::fit::{Fit, Status, fit};
 use crate::method::hypothesis::Hypothesis;
 use crate::method::inference::{covariance, t95};
-use crate::method::min_p::{f_test, signature_p};
+use crate::method::min_p::{f_test, strongest};
 use crate::method::noise_estimator::noise_for_predictions;
 use crate::method::omnibus::{OmnibusTest, omnibus_test};
 use crate::method::options::Options;
@@ -82,15 +82,9 @@ fn extended(
     let mut test = omnibus_test(system, &kept.fit, &kept.weights, options);
     for _ in 1..options.largest {
         let left = kept.fit.stacked();
-        let best = test
-            .signatures
-            .iter()
-            .filter(|s| kept.fit.terms.iter().all(|t| t.effect != s.term.effect))
-            .min_by(|a, b| {
-                let p = |s: &Signature| signature_p(s, s.gain(&left), kept.fit.ssr, kept.fit.dof);
-                p(a).total_cmp(&p(b))
-            });
-        let Some(best) = best.filter(|_| test.p_catalogue < CATALOGUE) else { break };
+        let other = |s: &&Signature| kept.fit.terms.iter().all(|t| t.effect != s.term.effect);
+        let best = strongest(test.signatures.iter().filter(other), &left, &kept.fit);
+        let Some((_, best)) = best.filter(|_| test.p_catalogue < CATALOGUE) else { break };
         let law = system.catalogue()[best.term.effect].law(best.term.law);
         let mut terms = kept.fit.terms.clone();
         terms.push(best.start(&left, law));
@@ -108,7 +102,8 @@ fn extended(
 /// F test of a richer model at the level of lack of fit.
 fn improves_on_laws(plain: &Fit, rich: &Fit) -> bool {
     let extra = plain.dof - rich.dof;
-    extra >= 1.0 && f_test(plain.ssr - rich.ssr, plain.ssr, plain.dof, extra as usize) < REPLICATES
+    let p = f_test(plain.ssr - rich.ssr, plain.ssr, plain.dof, extra as usize);
+    extra >= 1.0 && p.is_some_and(|p| p < REPLICATES)
 }
 
 /// The table's deviations by place and direction with 95 % intervals, as measured less commanded.

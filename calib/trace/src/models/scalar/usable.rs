@@ -30,7 +30,7 @@ pub(super) fn non_invertible_reason(system: &ScalarSystem, h: &Hypothesis) -> Op
     let reading = (0..fit.design.ncols()).fold(left, |sum, j| sum + column(j) * fit.coefficients[(j, 0)]);
     let constant = beside.project_off(&reading).norm_squared();
     let extra = of_stimulus.len() + fit.tangents.len();
-    let p = f_test(constant - fit.ssr, constant, fit.dof + extra as f64, extra);
+    let p = f_test(constant - fit.ssr, constant, fit.dof + extra as f64, extra)?;
     let depends =
         if p > NO_SLOPE { "does not depend on the stimulus" } else { "hardly depends on the stimulus" };
     let chance = if p < 0.01 { format!("{p:.1e}") } else { format!("{p:.2}") };

@@ -3,7 +3,7 @@
 use super::system::WhiskerSystem;
 use crate::measurement_model::MeasurementModel;
 use crate::method::hypothesis::Hypothesis;
-use crate::method::lack_of_fit::LackOfFit;
+use crate::method::lack_of_fit::{LackOfFit, Part, Split};
 use crate::method::noise::Noise;
 use crate::whisker::path::Reading;
 use nalgebra::{DMatrix, RowDVector};
@@ -84,14 +84,14 @@ fn by_pose(
 }
 
 /// Sum of squares and degrees of freedom within poses, over all channels.
-fn within(poses: &[Vec<RowDVector<f64>>]) -> (f64, f64) {
-    let (mut sum, mut dof) = (0.0, 0.0);
+fn within(poses: &[Vec<RowDVector<f64>>]) -> Part {
+    let (mut ss, mut dof) = (0.0, 0.0);
     for settings in poses {
         let mean = DMatrix::from_rows(settings).row_mean();
-        sum += settings.iter().map(|m| (m - &mean).norm_squared()).sum::<f64>();
+        ss += settings.iter().map(|m| (m - &mean).norm_squared()).sum::<f64>();
         dof += (settings.len() - 1) as f64 * mean.len() as f64;
     }
-    (sum, dof)
+    Part { ss, dof }
 }
 
 /// What `h` leaves of loaded poses against how well a pose that is set again reproduces; none where too few were, or where readings share noise in
@@ -102,10 +102,10 @@ pub fn lack_of_fit(system: &WhiskerSystem, h: &Hypothesis) -> Option<LackOfFit> 
         return None;
     }
     let poses = by_pose(system, h, &h.fit.raw_residual, false);
-    let pure = within(&poses);
+    let within = within(&poses);
     let total: f64 = poses.iter().flatten().map(RowDVector::norm_squared).sum();
-    let dof = (poses.len() * h.fit.raw_residual.ncols()) as f64;
-    (pure.1 >= MIN_DOF).then(|| LackOfFit::against([pure.0, pure.1], [total - pure.0, dof])).flatten()
+    let between = Part { ss: total - within.ss, dof: (poses.len() * h.fit.raw_residual.ncols()) as f64 };
+    (within.dof >= MIN_DOF).then(|| LackOfFit::of(Split { between, within })).flatten()
 }
 
 /// The floor under the noise of the accepted model. `left`: something is left that the model does not explain, so its residuals are no noise
@@ -114,8 +114,8 @@ pub fn noise_floor(system: &WhiskerSystem, h: &Hypothesis, noise: &Noise, left: 
     let inputs = system.noise_inputs();
     let readings = &system.path.readings;
     let residual = &h.fit.raw_residual * system.channels_pm();
-    let (sum, replicate_dof) = within(&by_pose(system, h, &residual, false));
-    let rest_dof = within(&by_pose(system, h, &residual, true)).1;
+    let replicates = within(&by_pose(system, h, &residual, false));
+    let rest_dof = within(&by_pose(system, h, &residual, true)).dof;
     let sd = noise.reading_sd(&inputs);
     // From the engine's channels, whose noise is alike and independent, to the gratings'.
     let rms = |typical: bool| {
@@ -125,9 +125,9 @@ pub fn noise_floor(system: &WhiskerSystem, h: &Hypothesis, noise: &Noise, left: 
             .then(|| system.noise_factor() * (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
     };
     let model = rms(true).filter(|m| m.is_finite())?;
-    let replicated = replicate_dof >= MIN_DOF;
+    let replicated = replicates.dof >= MIN_DOF;
     Some(Floor {
-        sd_pm: if left && replicated { (sum / replicate_dof).sqrt() } else { model },
+        sd_pm: if left && replicated { (replicates.ss / replicates.dof).sqrt() } else { model },
         moving_pm: rms(false),
         source: if replicated { "replicates" } else { "difference" },
         rest_dof,

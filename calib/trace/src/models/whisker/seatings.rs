@@ -3,10 +3,10 @@
 use super::system::WhiskerSystem;
 use crate::levels::REMARK;
 use crate::measurement_model::MeasurementModel;
+use crate::method::distributions::sd_interval95;
 use crate::method::fit::{Fit, linear};
 use crate::method::min_p::f_test;
 use nalgebra::DMatrix;
-use statrs::distribution::{ChiSquared, ContinuousCDF};
 use wcal_core::verify_document::NoisePart;
 
 /// Variation between seatings.
@@ -56,11 +56,13 @@ pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVaria
         return None;
     }
     let channels = fit.residual.ncols();
-    let sensitivity_p = f_test(fit.ssr - residual.norm_squared(), fit.ssr, fit.dof, own * channels);
+    let sensitivity_p = f_test(fit.ssr - residual.norm_squared(), fit.ssr, fit.dof, own * channels)?;
     let coefficients = coefficients * pm;
     let size = coefficients.rows(1, 2).norm();
     let changes = coefficients.rows(q, own).norm_squared() / later as f64;
-    let session = pool(zero_sd_pm, later);
+    // Both channels' zeros as one: two seatings say little, and the interval shows it.
+    let value = (0.5 * (zero_sd_pm[0].powi(2) + zero_sd_pm[1].powi(2))).sqrt();
+    let session = NoisePart { value, interval95: sd_interval95(value, 2.0 * later as f64)? };
     Some(SeatingVariation {
         count,
         zero_sd_pm,
@@ -68,15 +70,6 @@ pub fn spread_of_zeros(system: &WhiskerSystem, fit: &Fit) -> Option<SeatingVaria
         sensitivity_p,
         sensitivity_change: changes.sqrt() / size,
     })
-}
-
-/// Both channels' standard deviations from `dof` degrees of freedom each as one, with the interval that chi-squared gives:
-/// `s sqrt(nu / chi2_(0.975, nu)) .. s sqrt(nu / chi2_(0.025, nu))`, `nu = 2 dof`. Two sessions say little: the interval shows it.
-fn pool(sd: [f64; 2], dof: usize) -> NoisePart {
-    let value = (0.5 * (sd[0].powi(2) + sd[1].powi(2))).sqrt();
-    let nu = 2.0 * dof as f64;
-    let at = |p: f64| ChiSquared::new(nu).map_or(nu, |c| c.inverse_cdf(p));
-    NoisePart { value, interval95: [0.975, 0.025].map(|p| value * (nu / at(p)).sqrt()) }
 }
 
 impl SeatingVariation {
@@ -93,40 +86,5 @@ impl SeatingVariation {
             format!("one K serves all (difference {share:.2} %, p = {:.2})", self.sensitivity_p)
         };
         format!("{} seatings: their zeros vary by {a:.2} and {b:.2} pm (sd); {verdict}.", self.count)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::levels::NORMAL_95;
-    use rand::SeedableRng;
-    use rand_distr::{Distribution, StandardNormal};
-
-    #[test]
-    fn the_interval_of_the_zeros_scatter_covers() {
-        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
-        let (draws, sessions, truth) = (2000, 3, 4.0);
-        let (mut covered, mut plain) = (0, 0);
-        for _ in 0..draws {
-            let sd = [0, 1].map(|_| {
-                let zeros: Vec<f64> = (0..sessions)
-                    .map(|_| -> f64 {
-                        let z: f64 = StandardNormal.sample(&mut rng);
-                        truth * z
-                    })
-                    .collect();
-                let mean = zeros.iter().sum::<f64>() / sessions as f64;
-                (zeros.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / (sessions - 1) as f64).sqrt()
-            });
-            let e = pool(sd, sessions - 1);
-            covered += usize::from((e.interval95[0]..e.interval95[1]).contains(&truth));
-            // Control: a Gaussian's interval of the same width of freedom does not cover.
-            let half = NORMAL_95 * e.value / (2.0 * 2.0 * (sessions - 1) as f64).sqrt();
-            plain += usize::from((e.value - half..e.value + half).contains(&truth));
-        }
-        // 1,900 +- 10 expected (binomial standard deviation).
-        assert!((1860..=1940).contains(&covered), "{covered}");
-        assert!(plain < 1860, "{plain}");
     }
 }

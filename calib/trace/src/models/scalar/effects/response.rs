@@ -40,28 +40,38 @@ pub fn temperature() -> ScalarEffect {
     }
 }
 
-/// Places of a step: every hundredth of the session.
-const GRID: [f64; 99] = {
+/// Places of a step: every hundredth of what it runs over, from `low` on.
+const fn places(low: f64, span: f64) -> [f64; 99] {
     let mut grid = [0.0; 99];
     let mut k = 0;
     while k < 99 {
-        grid[k] = 0.01 * (k as f64 + 1.0);
+        grid[k] = low + span * 0.01 * (k as f64 + 1.0);
         k += 1;
     }
     grid
-};
+}
+const OF_SESSION: [f64; 99] = places(0.0, 1.0);
+const OF_STIMULUS: [f64; 99] = places(-1.0, 2.0);
 
 /// A shift of fewer readings than this at either end is not a step but a matter of single readings.
 const MIN_EACH_SIDE: usize = 3;
 
-/// Step: from some reading on, every response is shifted; a change point in time, or in the order of the readings where the table has no
-/// times.
+/// Step: from some reading, or from some stimulus on, every response is shifted; a change point in time, in the order of the readings where the
+/// table has no times, or along the stimulus (another range of the read-out, a weight that was exchanged).
 pub fn step() -> ScalarEffect {
-    let once = law("once").needing(&[LawRequirement::Clock]).shape("place", "clock", [0.0, 1.0], &GRID);
+    let once = law("once").needing(&[LawRequirement::Clock]).shape("place", "clock", [0.0, 1.0], &OF_SESSION);
+    let along = law("over-stimulus").shape("place", "stimulus", [-1.0, 1.0], &OF_STIMULUS);
     ScalarEffect {
+        waves_of_stimulus: &["over-stimulus"],
         columns: |values, frame| {
-            let place = values.of("place");
-            let column: Vec<f64> = frame.clock().iter().map(|o| f64::from(u8::from(*o >= place))).collect();
+            let (place, along) = (values.of("place"), values.law() == "over-stimulus");
+            // A count that starts again has a law of its own; in one series the clock is the stimulus.
+            let other = if along { !frame.scaling.wraps.is_empty() } else { !frame.ordered || frame.swept_once() };
+            if other && !frame.new_rows {
+                return None;
+            }
+            let over = if along { &frame.u } else { frame.clock() };
+            let column: Vec<f64> = over.iter().map(|o| f64::from(u8::from(*o >= place))).collect();
             let after = column.iter().filter(|v| **v > 0.0).count();
             let few = after < MIN_EACH_SIDE || column.len() - after < MIN_EACH_SIDE;
             (!few || frame.new_rows).then_some(vec![column])
@@ -70,8 +80,8 @@ pub fn step() -> ScalarEffect {
             superposes: true,
             ..Effect::new(
                 "step",
-                "The zero steps: from one reading on, all responses are shifted by a constant.",
-                vec![once.column("height", "response")],
+                "The response steps: from one reading, or from one stimulus on, all responses are shifted by a constant.",
+                vec![once.column("height", "response"), along.column("height", "response")],
             )
         }
         .into()

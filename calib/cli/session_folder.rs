@@ -142,7 +142,7 @@ mod tests {
         let line = |header: &str, first: &str| import_line("t.csv".as_ref(), header, first);
         assert!(!line("Kraft;Signal;T_C", "N;mV;C").contains("--separator"));
         assert!(
-            line("1,5;2,5", "2,5;3,5").contains("--separator semicolon --decimal-comma"),
+            line("1;2,5;3", "2;3,5;4").contains("--separator semicolon --decimal-comma"),
             "negative control"
         );
     }

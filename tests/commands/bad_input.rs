@@ -294,5 +294,5 @@ fn a_table_in_place_of_a_session_is_told_how_to_become_one() {
     // A session's own table: the folder is named.
     judge(&wcal(place.path(), &["verify", "cell/points.csv"]), 1, &["wcal verify cell"]).unwrap();
     fs::write(place.path().join("axis.csv"), "commanded_mm;measured_mm\n1;1\n").unwrap();
-    judge(&wcal(place.path(), &["verify", "axis.csv"]), 1, &["--separator semicolon --kind axis"]).unwrap();
+    judge(&wcal(place.path(), &["verify", "axis.csv"]), 1, &["wcal import axis.csv --kind axis"]).unwrap();
 }

@@ -121,9 +121,10 @@ pub fn of_effect(
                 (owner.systematic_sd)(&Values::new(law, term.law, &term.values), &system.frame, p.name);
             let half = (t * covariance[(q + k, q + k)].max(0.0).sqrt()).hypot(NORMAL_95 * unseen);
             // The place of a change has no derivative: readings tell between which of them it lies.
-            let halves = if half > 0.0 && p.unit != "clock" { [half; 2] } else { reach95(system, h, k) };
+            let place = p.name == "place";
+            let halves = if half > 0.0 && !place { [half; 2] } else { reach95(system, h, k) };
             // What is positive by its nature has no interval below zero.
-            let lowest = if p.range[0] >= 0.0 && p.unit != "clock" { 1e-9 * v.abs() } else { f64::MIN };
+            let lowest = if p.range[0] >= 0.0 && !place { 1e-9 * v.abs() } else { f64::MIN };
             push(p.name, p.unit, *v, halves, lowest);
         }
         let column = slots.columns.start;

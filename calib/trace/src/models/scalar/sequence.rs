@@ -2,6 +2,7 @@
 
 use super::row::{ScalarRow, all, range};
 use std::cmp::Ordering;
+use std::collections::BTreeSet;
 
 /// A table sorted by the stimulus with its repetitions side by side was put in order afterwards, or might have been: where a reading
 /// stands among its repetitions then says nothing of when it was taken.
@@ -32,11 +33,24 @@ pub(super) fn directions(rows: &[ScalarRow], setting: &[usize], least: usize) ->
             out.iter().map(|d| if *d == 0.0 { first } else { *d }).collect()
         }
         None if sorted_with_repetitions(setting) => return None,
-        None if rows.iter().all(|r| r.cycle.is_some()) || to_and_fro(setting) => ways(setting),
+        None if rows.iter().all(|r| r.cycle.is_some()) => ways_of_cycles(rows, setting),
+        None if to_and_fro(setting) => ways(setting),
         None => return None,
     };
     let up = found.iter().filter(|d| **d > 0.0).count();
     (up >= least && found.len() - up >= least).then_some(found)
+}
+
+/// The same, cycle by cycle: the way back to where a series begins is none of its readings' ways. Cycles in turns are one sequence.
+fn ways_of_cycles(rows: &[ScalarRow], setting: &[usize]) -> Vec<f64> {
+    let runs: Vec<&[ScalarRow]> = rows.chunk_by(|a, b| a.cycle == b.cycle).collect();
+    let distinct: BTreeSet<Option<u32>> = rows.iter().map(|r| r.cycle).collect();
+    if runs.len() > distinct.len() {
+        return ways(setting);
+    }
+    let mut left = setting;
+    let of_run = |run: &&[ScalarRow]| left.split_off(..run.len()).map_or(Vec::new(), ways);
+    runs.iter().flat_map(of_run).collect()
 }
 
 /// Readings of a stroke.

@@ -40,11 +40,11 @@ mod tests {
     #[test]
     fn the_interval_of_a_standard_deviation_holds_it() {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
-        for dof in [2.0, 3.0, 4.0, 6.0, 40.0] {
+        for dof in [2.0_f64, 3.0, 4.0, 6.0, 40.0] {
             let chi = rand_distr::ChiSquared::new(dof).unwrap();
             let (mut held, mut plain) = (0, 0);
             for _ in 0..2000 {
-                let sd = (chi.sample(&mut rng) / dof).sqrt();
+                let sd = f64::sqrt(chi.sample(&mut rng) / dof);
                 let [low, high] = sd_interval95(sd, dof).unwrap();
                 held += usize::from((low..high).contains(&1.0));
                 // Control: the interval of a Gaussian with the same standard error.

@@ -44,7 +44,7 @@ mod tests {
             let chi = rand_distr::ChiSquared::new(dof).unwrap();
             let (mut held, mut plain) = (0, 0);
             for _ in 0..2000 {
-                let sd = (chi.sample(&mut rng) / dof).sqrt();
+                let sd = f64::sqrt(chi.sample(&mut rng) / dof);
                 let [low, high] = sd_interval95(sd, dof).unwrap();
                 held += usize::from((low..high).contains(&1.0));
                 // Control: the interval of a Gaussian with the same standard error.

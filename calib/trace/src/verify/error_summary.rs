@@ -117,7 +117,7 @@ mod tests {
             let [low, high] = interval95(&all).unwrap();
             held += u32::from((low..high).contains(&1.0));
         }
-        f64::from(held) / 20.0
+        held as f64 / 20.0
     }
 
     #[test]

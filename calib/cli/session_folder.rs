@@ -45,10 +45,10 @@ pub fn expect_session(session: &Path, command: &str) -> Result<()> {
     let bytes = wcal_core::files::read(session).with_context(|| format!("reading {shown}"))?;
     let (text, _) = decoded(&bytes).map_err(|other| anyhow!("{shown}: {other}"))?;
     let mut lines = text.lines();
-    let [header, first] = [(); 2].map(|()| lines.next().unwrap_or_default());
+    let (header, rows) = (lines.next().unwrap_or_default(), lines.collect::<Vec<_>>());
     bail!(
         "{shown}: expected a session folder, found a file; to make a session of a table use wcal import, e.g.\n  {}\n  wcal {command} {}",
-        import_line(session, header, first),
+        import_line(session, header, &rows),
         target(session)
     )
 }
@@ -71,13 +71,24 @@ fn target(table: &Path) -> String {
     if Path::new(&name).exists() { name + "-session" } else { name }
 }
 
-/// The command that imports a table with this header and first row; what they do not tell is left in capitals.
-fn import_line(table: &Path, header: &str, first: &str) -> String {
+/// Whether two columns are one length, as commanded and as measured: both in mm, with a slope of 1 to a twentieth.
+fn is_axis(names: [&str; 2], pairs: &[[f64; 2]]) -> bool {
+    let in_mm = |name: &str| name.split(|c: char| !c.is_alphanumeric()).any(|word| word == "mm");
+    let mean = |k: usize| pairs.iter().map(|p| p[k]).sum::<f64>() / pairs.len() as f64;
+    let [x, y] = [mean(0), mean(1)];
+    let product = |k: usize| pairs.iter().map(|p| (p[0] - x) * (p[k] - [x, y][k])).sum::<f64>();
+    names.into_iter().all(in_mm) && (product(1) / product(0) - 1.0).abs() < 0.05
+}
+
+/// The command that imports a table with this header and these rows; what they do not tell is left in capitals.
+fn import_line(table: &Path, header: &str, rows: &[&str]) -> String {
     let separator = ['\t', ';', ','].into_iter().max_by_key(|s| header.matches(*s).count()).unwrap_or(',');
     let cells: Vec<&str> = header.split(separator).map(str::trim).collect();
-    let is_number = |cell: &&str| cell.replace(',', ".").parse::<f64>().is_ok();
+    let number = |cell: &str| cell.trim().replace(',', ".").parse::<f64>().ok();
+    let is_number = |cell: &&str| number(cell).is_some();
     let headless = cells.iter().all(is_number);
-    let row: Vec<&str> = first.split(separator).map(str::trim).collect();
+    let row: Vec<&str> =
+        rows.first().map_or_else(Vec::new, |row| row.split(separator).map(str::trim).collect());
     let has = |name: &str| cells.contains(&name);
     let mut line = format!("wcal import {}", quoted(&table.display().to_string()));
     // With a header both are found by the names of the columns, below lines of units, too.
@@ -92,17 +103,30 @@ fn import_line(table: &Path, header: &str, first: &str) -> String {
             line += " --decimal-comma";
         }
     }
-    if has("commanded_mm") && has("measured_mm") {
-        line += " --kind axis --commanded commanded_mm --measured measured_mm";
+    let measures = |k: usize| {
+        let name = cells[k];
+        let beside = name.is_empty() || BESIDE.contains(&name) || option_of(name).is_some();
+        !headless && !beside && row.get(k).is_none_or(is_number)
+    };
+    let measured: Vec<usize> = (0..cells.len()).filter(|k| measures(*k)).collect();
+    let axis = match measured[..] {
+        [a, b] => {
+            let pair = |row: &&str| {
+                let cells: Vec<&str> = row.split(separator).collect();
+                Some([number(cells.get(a)?)?, number(cells.get(b)?)?])
+            };
+            let pairs: Vec<[f64; 2]> = rows.iter().filter_map(pair).collect();
+            Some([cells[a], cells[b]]).filter(|names| is_axis(*names, &pairs))
+        }
+        _ => None,
+    };
+    if let Some(names) = axis {
+        let [commanded, measured] = names.map(quoted);
+        line += &format!(" --kind axis --commanded {commanded} --measured {measured}");
     } else if cells.iter().any(|c| c.starts_with("fbg_1_")) {
         line += " --kind whisker --model WHISKER.toml";
     } else {
-        let measures = |k: usize| {
-            let name = cells[k];
-            let beside = name.is_empty() || BESIDE.contains(&name) || option_of(name).is_some();
-            !headless && !beside && row.get(k).is_none_or(is_number)
-        };
-        let mut values = (0..cells.len()).filter(|k| measures(*k)).map(|k| cells[k]);
+        let mut values = measured.into_iter().map(|k| cells[k]);
         let mut column = |own: &str, unknown: &str| {
             if has(own) { own.to_owned() } else { quoted(values.next().unwrap_or(unknown)) }
         };
@@ -110,12 +134,11 @@ fn import_line(table: &Path, header: &str, first: &str) -> String {
             line += " --columns STIMULUS,RESPONSE";
         }
         let (stimulus, response) = (column("stimulus", "STIMULUS"), column("response", "RESPONSE"));
-        let _ = write!(line, " --kind transducer --stimulus {stimulus} --response {response}");
-        for name in cells.iter().filter(|name| !headless && !BESIDE.contains(name)) {
-            let taken = option_of(name).filter(|option| !line.contains(option));
-            line += &taken.map_or_else(String::new, |option| format!(" {option} {}", quoted(name)));
-        }
-        line += " --model linear";
+        let _ = write!(line, " --kind transducer --stimulus {stimulus} --response {response} --model linear");
+    }
+    for name in cells.iter().filter(|name| !headless && !BESIDE.contains(name)) {
+        let taken = option_of(name).filter(|option| !line.contains(option));
+        line += &taken.map_or_else(String::new, |option| format!(" {option} {}", quoted(name)));
     }
     format!("{line} --out {}", quoted(&target(table)))
 }
@@ -138,8 +161,25 @@ mod tests {
     }
 
     #[test]
+    fn two_lengths_of_slope_one_are_an_axis() {
+        let line = |slope: f64| {
+            let row = |x: f64| format!("{x},{},20.1,{}", slope * x + 0.003, 2.0 * x);
+            let rows: Vec<String> = (0..9).map(|k| row(f64::from(k))).collect();
+            let rows: Vec<&str> = rows.iter().map(String::as_str).collect();
+            import_line("a.csv".as_ref(), "target_mm,encoder_mm,T_C,t_s", &rows)
+        };
+        let axis = line(1.0);
+        assert!(
+            axis.contains("--kind axis --commanded target_mm --measured encoder_mm --temperature T_C"),
+            "{axis}"
+        );
+        assert!(!axis.contains("--model"));
+        assert!(line(1.2).contains("--kind transducer"), "negative control");
+    }
+
+    #[test]
     fn separators_are_left_to_the_header() {
-        let line = |header: &str, first: &str| import_line("t.csv".as_ref(), header, first);
+        let line = |header: &str, first: &str| import_line("t.csv".as_ref(), header, &[first]);
         assert!(!line("Kraft;Signal;T_C", "N;mV;C").contains("--separator"));
         assert!(
             line("1;2,5;3", "2;3,5;4").contains("--separator semicolon --decimal-comma"),

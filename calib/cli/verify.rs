@@ -155,18 +155,18 @@ fn beside(session: &Path) -> anyhow::Result<PathBuf> {
     Ok(named.with_file_name(verified))
 }
 
-/// Data that cannot be used still get a `verify.json` that says so, beside the error, in place of an earlier result of the same session.
+/// Data that cannot be used still get a `verify.json` that says so, beside the error, in place of an earlier result of the same session. A session
+/// whose identifier cannot be read gets none: it would stand in the way of the next one there.
 fn refuse_unusable(args: &VerifyArgs, mut out: OutputFolder<'_>, why: SessionError) -> anyhow::Error {
     let SessionError::Content(_) = &why else { return why.into() };
     let read = wcal_core::files::read_text(args.session.join("session.toml")).ok();
     let table = read.and_then(|text| wcal_core::document::toml(&text).ok()).unwrap_or_default();
     let text = |key: &str| Some(table.get(key)?.as_str()?.to_owned());
-    let folder = || args.session.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-    let (name, kind) = (text("id").unwrap_or_else(folder), text("kind"));
+    let Some(name) = text("id") else { return why.into() };
     if let Err(other) = out.refuse_other(&name) {
         return anyhow::Error::from(why).context(other.to_string());
     }
-    let kind = kind.unwrap_or_else(|| "unknown".to_owned());
+    let kind = text("kind").unwrap_or_else(|| "unknown".to_owned());
     let mut document = VerifyDocument::refused(name, kind, why.to_string(), args.seed);
     document.simulated = is_simulated(&args.session.join("session.toml"));
     let written = serde_json::to_vec_pretty(&document).map_err(anyhow::Error::from).and_then(|text| {

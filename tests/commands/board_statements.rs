@@ -125,6 +125,22 @@ fn a_stretched_print_is_named_or_said_to_be_undecided() {
     is_named(upright.path(), &CHESS, &["fy/fx is 1.0", "longer along its columns"]);
 }
 
+/// Corners that are counted as squares, one side by one too many, and tags of another family: said from two pictures, before all are searched.
+#[test]
+fn another_board_is_named_with_the_option_that_states_it() {
+    let folder = pictured(&chessboard([7, 6], 14.0, 1.0), &tilted(1.0), &right_from_left());
+    for board in ["8x7", "7x5", "6x6"] {
+        is_named(
+            folder.path(),
+            &["--board", board, "--square-mm", "14"],
+            &["7x6 inner corners", "--board 7x6"],
+        );
+    }
+    let folder = pictured(&april_grid(TagOrder::default()), &tilted(1.0), &right_from_left());
+    let family = [&grid("4x3", "26", "7.8")[..], &["--dictionary", "tag25h9"]].concat();
+    is_named(folder.path(), &family, &["none of tag25h9", "--dictionary tag36h11"]);
+}
+
 /// Boards that are only shifted: no tilt tells the focal length from the distance.
 #[test]
 fn boards_that_are_all_parallel_are_not_taken_in_silence() {

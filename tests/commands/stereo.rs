@@ -102,7 +102,7 @@ fn a_wrong_board_is_refused_and_a_side_in_metres_is_asked_about() {
     };
     let (code, _, text) = calibrate("6", "8x6");
     assert_eq!(code, 1, "{text}");
-    assert!(text.contains("8x6 inner corners"), "{text}");
+    assert!(text.contains("board of 8x6") && text.contains("--board 9x6"), "{text}");
     assert!(!Path::new(&refused).join("stereo.json").exists());
     assert_eq!(calibrate("6", "6").0, 2);
     let (code, _, text) = calibrate("0.006", "9x6");

@@ -121,6 +121,18 @@ impl Picture {
         None
     }
 
+    /// The picture with `factor` x `factor` pixels averaged into one.
+    pub(crate) fn reduced(&self, factor: usize) -> Self {
+        let factor = factor.max(1).min(self.width).min(self.height);
+        let (width, height) = (self.width / factor, self.height / factor);
+        let mean = |k: usize| {
+            let (x, y) = (k % width * factor, k / width * factor);
+            let rows = (y..y + factor).map(|y| &self.data[y * self.width + x..][..factor]);
+            (rows.flatten().map(|&v| usize::from(v)).sum::<usize>() / (factor * factor)) as u8
+        };
+        Self { width, height, data: (0..width * height).map(mean).collect() }
+    }
+
     /// The picture as JPEG, for looking at.
     ///
     /// # Errors

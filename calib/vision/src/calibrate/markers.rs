@@ -339,8 +339,11 @@ pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
             Some(format!("tags of {seen}, none of {family} (--dictionary {seen})"))
         }
         Pattern::Chessboard => {
+            /// Longest side on which whole boards are counted, px: the finder's time goes with the area where it finds nothing.
+            const COUNTED_PX: usize = 800;
             let BoardSize { columns, rows } = board.size;
             let whole = |p: &Picture, size| {
+                let p = &p.reduced(p.width.max(p.height).div_ceil(COUNTED_PX));
                 let found = find_chessboard(p, size, Finder::Classic).ok().flatten();
                 found.is_some_and(|points| continues_beyond(p, size, &points).is_none())
             };

@@ -68,8 +68,8 @@ const RESULT: ResultKind<'_> = ResultKind {
 /// # Errors
 /// A session, label source or setting that cannot be used, or a file that cannot be written.
 pub fn run(args: &FitGprArgs) -> anyhow::Result<ExitCode> {
-    expect_session(&args.session, "fit-gpr")?;
     let mut out = OutputFolder::open(&RESULT, &args.out, args.overwrite.force)?;
+    expect_session(&args.session, "fit-gpr")?;
     let session = load(&args.session)?;
     out.refuse_other(&session.id)?;
     for warning in &session.warnings {

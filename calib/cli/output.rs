@@ -15,7 +15,7 @@ use clap::Args;
 use std::fs;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
-use wcal_core::files::{HALF_WRITTEN, folder_of, remove_abandoned, sync_folder, write_atomic};
+use wcal_core::files::{HALF_WRITTEN, folder_of, hold, remove_abandoned, sync_folder, write_atomic};
 use wcal_core::text::brief;
 
 /// Consent to write where something else is.
@@ -203,7 +203,7 @@ impl<'a> OutputFolder<'a> {
             tempfile::Builder::new().prefix(HALF_WRITTEN[0]).suffix(HALF_WRITTEN[1]).tempdir_in(folder);
         let staging = staging.with_context(|| fail("writing into"))?;
         // Nobody else tidies it away while it is filled; without locks nobody tidies.
-        let held = fs::File::open(staging.path()).map(|open| open.try_lock().map(|()| open));
+        let held = hold(staging.path());
         for (name, bytes) in &self.files {
             write_atomic(&staging.path().join(name), bytes)?;
         }

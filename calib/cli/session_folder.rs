@@ -116,7 +116,8 @@ fn import_line(table: &Path, header: &str, rows: &[&str]) -> String {
                 Some([number(cells.get(a)?)?, number(cells.get(b)?)?])
             };
             let pairs: Vec<[f64; 2]> = rows.iter().filter_map(pair).collect();
-            Some([cells[a], cells[b]]).filter(|names| is_axis(*names, &pairs))
+            let named = |names: &[&str; 2]| *names == ["commanded_mm", "measured_mm"];
+            Some([cells[a], cells[b]]).filter(|names| named(names) || is_axis(*names, &pairs))
         }
         _ => None,
     };

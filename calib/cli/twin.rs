@@ -69,8 +69,8 @@ const COLUMNS: &str = "point,moment_1_nmm,moment_2_nmm,contact_arclength_mm,bran
 /// # Errors
 /// A session of another kind, or a file that cannot be read or written.
 pub fn run(args: &TwinArgs) -> anyhow::Result<ExitCode> {
-    expect_session(&args.session, "twin")?;
     check_file(&args.out, "twin", |first| first == COLUMNS, args.overwrite.force)?;
+    expect_session(&args.session, "twin")?;
     let session = load(&args.session)?;
     let SessionData::Whisker(data) = &session.data else {
         bail!("twin: expected a session of kind \"whisker\", found {:?}", session.kind);

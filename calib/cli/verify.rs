@@ -100,12 +100,13 @@ pub const RESULT: ResultKind<'_> = ResultKind {
 /// # Errors
 /// A session that cannot be read, a model that cannot be built, or a file that cannot be written.
 pub fn run(args: &VerifyArgs) -> anyhow::Result<ExitCode> {
-    expect_session(&args.session, "verify")?;
     if args.check {
+        expect_session(&args.session, "verify")?;
         return check::check(&args.session, args.holdout.as_deref(), args.json);
     }
     let folder = args.out.clone().map_or_else(|| beside(&args.session), Ok)?;
     let mut out = OutputFolder::open(&RESULT, &folder, args.overwrite.force)?;
+    expect_session(&args.session, "verify")?;
     let mut session = match load(&args.session) {
         Ok(session) => session,
         Err(why) => return Err(refuse_unusable(args, out, why)),

@@ -235,7 +235,7 @@ fn the_demo_shows_an_effect_that_halves_the_error_and_marks_what_is_simulated() 
         whisker.contains("dead-zone with hysteresis") && whisker.contains("<td>refuted</td>"),
         "the sweep's table"
     );
-    assert!(whisker.contains("declared model, nothing added") && !whisker.contains("after: accepted"));
+    assert!(whisker.contains("best explanation, not accepted") && !whisker.contains("after: accepted"));
     let tracked = read("bottle/track.csv");
     assert!(
         tracked.lines().count() == 98 && tracked.lines().next().is_some_and(|l| l.contains("world_x_mm"))

@@ -359,7 +359,7 @@ fn without_a_motion_every_loaded_reading_has_an_arc() {
     let groove = &none.summary["known_groove"];
     let loaded = none.with_status("motion-lost");
     assert!(loaded as u64 >= groove["compared"].as_u64().unwrap() && loaded > 80, "{}", none.said);
-    assert!(groove["coverage90"].as_f64().unwrap() > 0.9 && none.rmse_mm() > 3.0, "{}", none.said);
+    assert!(groove["coverage95"].as_f64().unwrap() > 0.9 && none.rmse_mm() > 3.0, "{}", none.said);
 }
 
 /// Metres stated as millimetres, a reversed motion, another clock rate, another calibration's moments.

@@ -1,6 +1,7 @@
 //! Records of one contact each, with a calibration and the true contact (SIMULATED): needles pressed in and back, and a short slide.
 
-use crate::support::{text, wcal};
+use crate::support::copy::copy_folder;
+use crate::support::{repository, text, wcal};
 use std::path::PathBuf;
 
 /// Cells of a table by column.
@@ -71,4 +72,27 @@ fn a_slide_that_is_too_short_to_be_looked_at_is_undecided() {
     assert!(errors_mm("short_slide", &table, "ok").is_empty());
     let (states, p) = (column(&table, "status"), numbers(&table, "contact_probability"));
     assert!(states[..15].iter().all(|s| s == "ok") && p.iter().any(|p| *p > 0.5), "{states:?}");
+}
+
+/// A session whose groove is known, tracked with its own calibration and with that of another bench.
+#[test]
+fn rows_that_miss_a_known_groove_say_so_with_force_too() {
+    let place = tempfile::tempdir().unwrap();
+    let at = |name: &str| place.path().join(name).to_string_lossy().into_owned();
+    for name in ["case-004", "case-008"] {
+        copy_folder(&repository("fixtures/practice").join(name), &place.path().join(name));
+        assert_eq!(wcal(&["verify", &at(name), "--out", &at(&format!("{name}-v"))]).status.code(), Some(0));
+    }
+    let track = |calibration: &str, more: &[&str]| {
+        let (calibration, out) = (at(&format!("{calibration}-v/calibration.json")), at("t.csv"));
+        let call = ["track", &at("case-004"), "--calibration", &calibration, "--out", &out];
+        let found = wcal(&[&call[..], more].concat());
+        (found.status.code(), column(&std::fs::read_to_string(out).unwrap(), "status"))
+    };
+    let missed = |states: &[String]| states.iter().filter(|s| s.contains("groove-missed")).count();
+    let (code, states) = track("case-008", &["--force"]);
+    assert_eq!((code, missed(&states)), (Some(3), states.len()));
+    assert_eq!(track("case-008", &[]).0, Some(4));
+    let (code, states) = track("case-004", &[]);
+    assert!(missed(&states) == 0 && code != Some(4), "negative control: {code:?}");
 }

@@ -3,7 +3,6 @@
 //! The density is constant in each of its cells. A region holds cells in the order of their density until it has 95 % of the mass; neighbours
 //! are one piece (G. E. P. Box, G. C. Tiao, "Bayesian Inference in Statistical Analysis", 1973, 2.8).
 
-use crate::known_motion::posterior::normal_share;
 use nalgebra::{Matrix3, Vector3};
 
 /// Mass of the stated regions.
@@ -179,6 +178,11 @@ pub fn mixed_place(
         (covariance + (at - mean) * (at - mean).transpose()) * (w / total)
     };
     (total > 0.0).then(|| (mean, parts.map(about).sum()))
+}
+
+/// Standard normal distribution function.
+pub(crate) fn normal_share(z: f64) -> f64 {
+    0.5 * statrs::function::erf::erfc(-z / std::f64::consts::SQRT_2)
 }
 
 #[cfg(test)]

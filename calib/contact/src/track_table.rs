@@ -136,7 +136,8 @@ impl TrackFiles {
     pub fn flag(&mut self, whisker: &str, flag: Flags) -> Result<(), ContactError> {
         self.flush()?;
         let out = &self.out;
-        let text = std::fs::read_to_string(out).map_err(ContactError::file("reading", out))?;
+        let bytes = wcal_core::files::read(out).map_err(ContactError::file("reading", out))?;
+        let text = String::from_utf8_lossy(&bytes);
         let at = |name: &str| COLUMNS.split(',').position(|column| column == name).unwrap_or_default();
         let (name, status) = (at("whisker"), at("status"));
         let flagged = |line: &str| {

@@ -110,6 +110,11 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
 /// Begin and end of the names of files and folders that are being written.
 pub const HALF_WRITTEN: [&str; 2] = [".wcal-", ".tmp"];
 
+/// A file or folder that is being written, locked until the result is dropped; none where somebody else holds it, or the file system has no locks.
+pub fn hold(path: &Path) -> Option<fs::File> {
+    fs::File::open(path).ok().filter(|open| open.try_lock().is_ok())
+}
+
 /// Removes what programs that were killed left half-written in a folder: what nobody holds locked any more.
 pub fn remove_abandoned(folder: &Path) {
     // What cannot be read or removed stays: it is in nobody's way.
@@ -120,7 +125,7 @@ pub fn remove_abandoned(folder: &Path) {
         if plain
             && name.starts_with(HALF_WRITTEN[0])
             && name.ends_with(HALF_WRITTEN[1])
-            && fs::File::open(&path).is_ok_and(|file| file.try_lock().is_ok())
+            && hold(&path).is_some()
         {
             let _ = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
         }

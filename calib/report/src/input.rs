@@ -74,9 +74,11 @@ impl ReportInput {
 /// What the errors "after" are those of. Nothing is called accepted that was not.
 pub fn model_after(verify: &VerifyDocument, accepted_on_request: bool) -> &'static str {
     match verify.verdict {
-        Verdict::Ambiguous if !accepted_on_request => "best explanation, not accepted",
         Verdict::Adequate | Verdict::UnknownEffect if verify.effects.is_empty() => {
             "declared model, nothing added"
+        }
+        Verdict::Ambiguous | Verdict::UnknownEffect if !accepted_on_request => {
+            "best explanation, not accepted"
         }
         _ => "accepted model",
     }

@@ -27,6 +27,8 @@ use wcal_core::{
 const NAME: &str = "unsealed.json";
 /// Format tag of `unsealed.json`.
 const FORMAT: &str = "wcal-unsealed/3";
+/// Format that kept files in place of rows.
+const OF_FILES: &str = "wcal-unsealed/2";
 const PM_PER_NM: f64 = 1000.0;
 
 /// A decision that met held-out rows.
@@ -39,17 +41,38 @@ pub struct RecordedLook {
     /// By which version of the program.
     program: String,
     /// The rows, each by the first 16 hex digits of the SHA-256 of what was set and read.
-    #[schemars(inner(regex(pattern = "^[0-9a-f]{16}$")))]
+    #[schemars(with = "Vec<String>")]
     rows: BTreeSet<String>,
     /// The files that they stood in then.
+    #[schemars(with = "Vec<String>")]
     files: BTreeSet<String>,
     /// Hash of the decision, as in verify.json; null where rows were read without one (`predict`).
     #[schemars(regex(pattern = "^[0-9a-f]{64}$"))]
     decision: Option<String>,
 }
 
+/// A record of [`OF_FILES`]. Which rows its looks met is not known: they count for any.
+#[derive(Deserialize)]
+struct OlderLedger {
+    looks: Vec<OlderLook>,
+}
+
+#[derive(Deserialize)]
+struct OlderLook {
+    look: usize,
+    when: String,
+    program: String,
+    decision: Option<String>,
+}
+
+impl From<OlderLook> for RecordedLook {
+    fn from(OlderLook { look, when, program, decision }: OlderLook) -> Self {
+        Self { look, when, program, rows: BTreeSet::new(), files: BTreeSet::new(), decision }
+    }
+}
+
 impl RecordedLook {
-    /// Whether most of its rows are among `rows`, or most of these among its own.
+    /// Whether most of its rows are among `rows`, or most of these among its own; true where its rows are not known.
     fn met(&self, rows: &BTreeSet<String>) -> bool {
         2 * self.rows.intersection(rows).count() >= self.rows.len().min(rows.len())
     }
@@ -88,6 +111,9 @@ fn read(path: &Path) -> Result<Vec<RecordedLook>, LedgerError> {
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         other => other.map_err(|e| wrong(e.to_string()))?,
     };
+    if let Ok(older) = document::from_json::<OlderLedger>(&text, OF_FILES, &[]) {
+        return Ok(older.looks.into_iter().map(RecordedLook::from).collect());
+    }
     let file: LedgerFile = document::from_json(&text, FORMAT, &[]).map_err(|e| wrong(e.to_string()))?;
     Ok(file.looks)
 }
@@ -269,6 +295,15 @@ mod tests {
         for (number, more) in ["abc", "ab", "abcdefgh", "abxy", "a"].into_iter().enumerate() {
             assert_eq!(look(more, Some("first")), number + 2, "{more}");
         }
+    }
+
+    #[test]
+    fn looks_of_a_record_that_kept_files_count_for_any_rows() {
+        let [session, out] = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+        let older = r#"{"format":"wcal-unsealed/2","looks":[{"look":1,"when":"","program":"","files":[{"sha256":"a","path":"h.csv"}],"decision":"first"}]}"#;
+        std::fs::write(session.path().join(NAME), older).unwrap();
+        let look = |rows: &str| ledger(&[session.path()], out.path(), rows).record(Some("second")).unwrap();
+        assert_eq!([look("ab"), look("ab"), look("xy")], [2, 2, 2]);
     }
 
     #[test]

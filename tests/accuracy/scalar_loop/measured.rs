@@ -111,10 +111,9 @@ fn loadcell_gets_its_quadratic_term() {
     assert!(run.lack_of_fit(0, "p_value") < 1e-10 && run.lack_of_fit(1, "p_value") > 0.05);
     // The table is sorted by load: no claim rests on the order of its rows.
     let rows = run.verify["detectable"].as_array().unwrap();
-    for id in ["drift", "step"] {
-        let row = rows.iter().find(|d| d["id"] == id).unwrap();
-        assert_eq!(row["status"], "not-observable", "{row}");
-    }
+    let row = |id: &str| rows.iter().find(|d| d["id"] == id).unwrap();
+    assert_eq!(row("drift")["status"], "not-observable", "{}", row("drift"));
+    assert!(row("step")["why"].as_str().unwrap().contains("law over-stimulus"), "{}", row("step"));
 }
 
 #[test]

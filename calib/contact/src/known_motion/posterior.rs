@@ -2,7 +2,7 @@
 
 use super::EpisodeContact;
 use super::contact_path::{ContactPath, State, creep_mm};
-use crate::arc_posterior::{ArcDensity, REGION, Region};
+use crate::arc_posterior::{ArcDensity, REGION, Region, normal_share};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector2, Vector3};
 
 /// A node of the grid: onset and gap given the arc length.
@@ -167,11 +167,6 @@ impl Posterior {
         };
         (place, ArcDensity::of_normals(&along, path.field.length_mm()))
     }
-}
-
-/// Standard normal distribution function.
-pub(crate) fn normal_share(z: f64) -> f64 {
-    0.5 * statrs::function::erf::erfc(-z / std::f64::consts::SQRT_2)
 }
 
 /// Density at a node's middle, 1/mm^3.

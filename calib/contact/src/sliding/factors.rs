@@ -379,3 +379,20 @@ impl<'a> Chain<'a> {
         normal
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// c k(u) of the head of smooth.rs integrates to 1, as the normal density's 1 / sqrt(2 pi) exp(-u^2 / 2) does.
+    #[test]
+    fn students_density_has_mass_one() {
+        for nu in [3.0, 5.0, 30.0] {
+            let density = |u: f64| (1.0 + u * u / nu).powf(-0.5 * (nu + 1.0)) / std::f64::consts::TAU.sqrt();
+            let kernel: f64 = (-200_000..=200_000).map(|k| 1e-3 * density(1e-3 * f64::from(k))).sum();
+            assert!((kernel * ln_norm(nu).exp() - 1.0).abs() < 1e-4, "{nu}: {kernel}");
+            // Control: the normal density's norm has other mass.
+            assert!((kernel - 1.0).abs() > 0.005, "{nu}: {kernel}");
+        }
+    }
+}

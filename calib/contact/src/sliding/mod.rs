@@ -78,8 +78,10 @@ const LOST: f64 = 0.3;
 const TURNED_MM: f64 = 0.5;
 /// Fewer blocks support nothing.
 const MIN_BLOCKS: usize = 8;
-/// Of fewer blocks nothing is known of a slide: they have no two changes of slip, and its course is that of the priors.
-const MIN_MEANS: usize = 4;
+/// Fewer blocks have no change of slip.
+const MIN_MEANS: usize = 3;
+/// Fewer blocks of a contact are no evidence of a slide: without two changes of slip its course is that of the priors.
+const MIN_WEIGHED: usize = 4;
 /// A load that would last for more than so many readings as it falls is lost at once.
 const LOST_AT_ONCE: f64 = 3.0;
 /// Logarithm of the density of a block of which nothing is predicted: anywhere in a circle of 3 N mm.
@@ -236,7 +238,8 @@ fn locate_parts(
     all.predicted = each().map(|p| p.count).sum();
     // Parts that no path explains are anything.
     let anything = [(all.means.len() - all.predicted) as f64 * LN_ANYTHING, 0.0];
-    all.ln_evidence = Some([0, 1].map(|k| anything[k] + each().map(|p| p.ln_evidence[k]).sum::<f64>()));
+    let ln_evidence = [0, 1].map(|k| anything[k] + each().map(|p| p.ln_evidence[k]).sum::<f64>());
+    all.ln_evidence = Some(ln_evidence).filter(|_| all.means.len() >= MIN_WEIGHED);
     all.gaps = each().map(|p| p.best().gaps).fold(0.0, f64::max);
     all.mm_by_gain = each().map(|p| p.mm_by_gain).fold(0.0, f64::max);
     all.turns_back = turns_back(held);

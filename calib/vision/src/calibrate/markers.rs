@@ -329,13 +329,14 @@ pub(crate) fn other_board(board: &Board, pictures: &[&Path]) -> Option<String> {
         Pattern::Charuco { .. } => None,
         Pattern::AprilGrid { family, .. } => {
             let tags = board.size.columns * board.size.rows;
-            let count = |p: &Picture, kind: &str| board_tags(p, kind, tags).map_or(0, |tags| tags.len());
-            if shown(&|p| count(p, family) > 0) > 0 {
+            // Small tags are seen by chance here and there, half a board of them is not.
+            let most =
+                |p: &Picture, kind: &str| board_tags(p, kind, tags).is_ok_and(|seen| 2 * seen.len() > tags);
+            if shown(&|p| most(p, family)) > 0 {
                 return None;
             }
             let others = TAG_FAMILIES.iter().filter(|kind| *kind != family && !kind.ends_with(WIDE_BORDER));
-            // Small tags are seen by chance here and there, half a board of them is not.
-            let seen = others.into_iter().find(|kind| shown(&|p| 2 * count(p, kind) > tags) >= enough)?;
+            let seen = others.into_iter().find(|kind| shown(&|p| most(p, kind)) >= enough)?;
             Some(format!("tags of {seen}, none of {family} (--dictionary {seen})"))
         }
         Pattern::Chessboard => {

@@ -1,10 +1,11 @@
 //! One node of the grid: a Gaussian in all that is not the arc length, updated reading by reading (equations in [`super`]).
 
+use crate::arc_posterior::normal_share;
 use crate::known_motion::contact_path::{ACROSS, PLAY_MM, State, play};
 use crate::known_motion::episode::{CorrelatedNoise, MotionRow, Settings, TABLE_MM, TABLE_SHARE};
 use crate::known_motion::field::ContactMoments;
 use crate::known_motion::field::MomentField;
-use crate::known_motion::posterior::{Creep, normal_share};
+use crate::known_motion::posterior::Creep;
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Matrix2xX, Rotation3, Vector2, Vector3};
 
 /// Standard deviation of noisy outliers in units of the noise.

@@ -302,19 +302,19 @@ impl WholeContact {
     pub fn sentences(&self) -> Vec<String> {
         let weights = &self.weights;
         let said = match (weights.certain(), weights.misstatement) {
-            (None, _) if self.flags().has(Flags::UNDECIDED) => Some("a way in which its point of the object may move could not be looked at, for want of \
-                 readings; marked undecided in status".to_owned()),
-            (None, _) => Some("whether its point of the object stays, creeps or slides is not decided; places and regions are those of all".to_owned()),
             (Some(Regime::Misstated), Some((m, _))) => Some(format!("{}; marked motion-disagrees in status", m.sentence())),
-            (Some(Regime::Sliding), _) if !self.sliding.sure() => Some("the fit of a sliding contact leaves more than noise, or the motion turns \
-                 back: the contact may be lost, and its regions are wide; marked sliding-assumed in status"
-                .to_owned()),
-            (Some(Regime::Sliding), _) => Some("it slides over the object".to_owned()),
             _ if self.flags().has(Flags::MOTION_DISAGREES) => {
                 let said = self.point().innovations.sentence();
                 let said = said.unwrap_or_else(|| "the motion says nothing of the moments".to_owned());
                 Some(format!("{said}; marked motion-disagrees in status"))
             }
+            (None, _) if self.flags().has(Flags::UNDECIDED) => Some("a way in which its point of the object may move could not be looked at, for want of \
+                 readings; marked undecided in status".to_owned()),
+            (None, _) => Some("whether its point of the object stays, creeps or slides is not decided; places and regions are those of all".to_owned()),
+            (Some(Regime::Sliding), _) if !self.sliding.sure() => Some("the fit of a sliding contact leaves more than noise, or the motion turns \
+                 back: the contact may be lost, and its regions are wide; marked sliding-assumed in status"
+                .to_owned()),
+            (Some(Regime::Sliding), _) => Some("it slides over the object".to_owned()),
             _ => None,
         };
         let slips = self.sliding.slips.iter().filter(|_| weights.slides()).map(|k| {

@@ -38,7 +38,7 @@ impl Order {
                 Drawn::Whisker(Box::new(draw_under(request, *noise, *make)?))
             }
             Self::PictureSetup(request, looked) => Drawn::Whisker(Box::new(draw_looked(request, *looked)?)),
-            Self::Scalar(request) => Drawn::Scalar(scalar::draw(request)),
+            Self::Scalar(request) => Drawn::Scalar(Box::new(scalar::draw(request))),
         })
     }
 }
@@ -49,7 +49,7 @@ pub enum Drawn {
     /// Of a whisker.
     Whisker(Box<Case>),
     /// Of a transducer or an axis.
-    Scalar(ScalarCase),
+    Scalar(Box<ScalarCase>),
 }
 
 impl Drawn {

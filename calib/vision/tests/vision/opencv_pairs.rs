@@ -147,5 +147,5 @@ fn a_wrong_board_size_is_named() {
     let board =
         Board { size: BoardSize { columns: 10, rows: 6 }, square_mm: 1.0, pattern: Pattern::Chessboard };
     let error = calibrate_folders(&left, &right, &board, OPENCV5, &|_| {}).unwrap_err().to_string();
-    assert!(error.contains("no board of 10x6 inner corners"), "{error}");
+    assert!(error.contains("board of 10x6") && error.contains("--board 9x6"), "{error}");
 }

@@ -127,6 +127,8 @@ pub(super) fn ln_evidence(chain: &Chain<'_>, found: &Smoothed) -> Option<f64> {
     };
     let mut light = chain.clone();
     light.heavy = false;
+    // A path that is so far off its own course that the weights of its tails leave the prior no curvature is none.
+    factored(chain, &KINDS[1..])?;
     let ((with, normal), (prior, _)) = (factored(chain, &KINDS)?, factored(&light, &KINDS[1..])?);
     // Laplace: the posterior's volume over the prior's, by their curvatures.
     let occam = 0.5 * (prior.ln_determinant() - with.ln_determinant());
